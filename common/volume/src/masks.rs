@@ -1,8 +1,8 @@
-//! Joins masks, with one volume per object, to a label volume with named segments.
+//! Joins masks, one per object, into a label volume with named segments.
 //!
-//! Each mask becomes a segment. In a folder, it has the name of its file. Masks that overlap go to
-//! different layers, so every mask keeps all its voxels. Besides one byte per voxel and layer, only
-//! one mask of a folder at a time is in memory.
+//! Each mask becomes a segment. Masks in a folder are named after their files. Masks that overlap
+//! go to different layers, so every mask keeps all its voxels. Besides one byte per voxel and
+//! layer, only one mask of a folder at a time is in memory.
 //!
 //! The grid is that of the finest mask, extended to contain all masks. A voxel is inside a mask if
 //! the nearest voxel of the mask is. No average is taken, because a voxel of the grid rarely
@@ -69,7 +69,7 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
     Ok(masks.join(grid))
 }
 
-/// Joins masks in memory, each with the name of its object. There is at least one.
+/// Joins masks in memory, each with the name of its object. `named` must not be empty.
 ///
 /// # Errors
 /// If a volume is not a mask, if the masks are not in one space, or if they do not fit in memory.
@@ -139,7 +139,7 @@ impl Masks {
                 self.remarks.push(format!("{}: {remark}", file_name(path)));
             }
         }
-        // the voxels inside the mask, and a layer if the others are taken
+        // the voxels inside the mask, and a new layer if none is free
         check_memory(path, (mask.voxels.len() + voxel_count(path, grid.size)?) as u64)?;
         let level = level(path, &mask)?;
         let Volume { geometry, voxels, .. } = mask;

@@ -41,7 +41,7 @@ pub(crate) struct Failure {
     next: OsString,
 }
 
-/// Returns a text from Python, which may contain a path that is not valid UTF-8.
+/// Converts a text from Python. It may contain a path that is not valid UTF-8.
 fn lossy(text: &OsString) -> String {
     text.to_string_lossy().into_owned()
 }
@@ -135,13 +135,13 @@ impl Context {
         self.context.check_memory(needed, &lossy(&what), next).map_err(|error| raised(py, error))
     }
 
-    /// Refuses outputs that exist, unless `--force` is set, or that cannot be written. Keeps the
-    /// paths: none of them may be an input.
+    /// Refuses outputs that exist, unless `--force` is set, or that cannot be written. Stores the
+    /// paths, because none may be an input.
     fn check_outputs(&self, py: Python<'_>, outputs: Vec<PathBuf>) -> PyResult<()> {
         self.context.check_outputs(&outputs).map_err(|error| raised(py, error))
     }
 
-    /// Adds an input file with its hash and the history in it.
+    /// Adds an input file, with its hash and the history that it contains.
     fn add_input(&self, py: Python<'_>, path: PathBuf, history: Bound<'_, PyAny>) -> PyResult<()> {
         let (context, file) = (Arc::clone(&self.context), path.clone());
         let hash = compute(py, move || context.add_input(&file, None))?.map_err(|error| raised(py, error))?;
@@ -206,8 +206,8 @@ impl Context {
     }
 }
 
-/// Returns the peak memory of this process or of any that it has started, in bytes. On Windows,
-/// Python has no module `resource`.
+/// Returns the peak memory of this process or of a process that it started, whichever is larger, in
+/// bytes. On Windows, this fails, because Python has no module `resource` there.
 fn peak_memory(py: Python<'_>) -> PyResult<u64> {
     let resource = py.import("resource")?;
     let mut peak = 0;
@@ -262,8 +262,8 @@ pub(crate) fn check_output(py: Python<'_>, path: PathBuf, force: bool) -> PyResu
     output::check_output(&path, force).map_err(|error| raised(py, error))
 }
 
-/// Parses a number of bytes, such as `8G`; K, M, G and T denote powers of 1024. The error is that
-/// of a type of `argparse`.
+/// Parses a number of bytes, such as `8G`; K, M, G and T denote powers of 1024. The error is an
+/// `argparse.ArgumentTypeError`.
 #[pyfunction]
 pub(crate) fn number_of_bytes(py: Python<'_>, text: &str) -> PyResult<u64> {
     match values::bytes(text) {

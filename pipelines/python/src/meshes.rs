@@ -222,7 +222,7 @@ pub(crate) fn distances_both_ways(
     Ok((Array::column(&there), Array::column(&back)))
 }
 
-/// Returns the flag of each triangle: that of the triangle of another mesh, with flags 0 and 1,
+/// Returns a flag for each triangle: the flag, 0 or 1, of the triangle of another mesh that is
 /// nearest to its centroid.
 #[pyfunction]
 pub(crate) fn nearest_flags(

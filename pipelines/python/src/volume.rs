@@ -56,8 +56,8 @@ impl Volume {
         Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels)))))
     }
 
-    /// Joins masks, each a volume or the path of one, to a label volume whose segments have the
-    /// given names.
+    /// Joins masks into a label volume whose segments have the given names. A mask is a volume or
+    /// the path of one.
     #[staticmethod]
     fn of_masks(py: Python<'_>, masks: Vec<(String, Mask<'_>)>) -> PyResult<Self> {
         let taken = |(name, mask)| match mask {

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 const SILENT: [&str; 4] = ["--threads", "--max-memory", "--report", "--progress"];
 
 /// Returns the command line for the history. Paths in `outputs` are replaced with `OUTPUT`, and
-/// other paths with their file names. Shared options that do not affect the result are omitted. So
-/// are the options in `silent`, which have a value.
+/// other paths with their file names. Shared options that do not affect the result are omitted, and
+/// so are the options in `silent`, all of which have a value.
 pub(super) fn canonical_command_line(
     tool: &str,
     arguments: impl Iterator<Item = String>,

@@ -26,7 +26,7 @@ pub struct Context {
     /// The shared options.
     pub common: CommonArgs,
     command_line: String,
-    /// Number of threads; `None` for that of the current thread pool.
+    /// Number of threads; `None` for the size of the current thread pool.
     threads: Option<usize>,
     started: Instant,
     bars: MultiProgress,
@@ -219,7 +219,7 @@ impl Context {
         self.threads.unwrap_or_else(rayon::current_num_threads)
     }
 
-    /// Checks files that the run will write, and keeps their paths: none of them may be an input.
+    /// Checks files that the run will write, and stores their paths, because none may be an input.
     ///
     /// # Errors
     /// If an output exists and `--force` is not set, if it cannot be written, or if a path is used
@@ -299,7 +299,7 @@ impl Context {
         self.close_with(result, |path, report| report::write(path, &report))
     }
 
-    /// Works like the end of a stage program, with a function that writes the report to its path.
+    /// Ends the run like a stage program. `write` writes the report to its path.
     ///
     /// # Errors
     /// If `result` is an error, or if the report cannot be written.
@@ -383,7 +383,8 @@ impl Context {
 }
 
 impl State {
-    /// Returns the peak memory of this process or of any that it has started, in bytes.
+    /// Returns the peak memory of this process or of a process that it started, whichever is
+    /// larger, in bytes.
     fn peak_memory(&self) -> Option<u64> {
         isoparticles_file::memory::peak_memory().max(self.peak_of_children)
     }

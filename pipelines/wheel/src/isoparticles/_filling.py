@@ -1,7 +1,7 @@
 """The process that :func:`isoparticles.fill` starts: ``tetmesh-check`` with progress on stdout.
 
-A process of its own can be stopped at any time, and BLAS uses one thread in it, as in the program,
-so the results are the same. Each line of stdout is a JSON list of a step and a message.
+A separate process can be stopped at any time. BLAS uses one thread in it, as in the program, so the
+results are the same. Each line of stdout is a JSON list of a step and a message.
 """
 
 from __future__ import annotations

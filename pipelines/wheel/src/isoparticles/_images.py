@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from isoparticles import _native
 
 Image = Any
-"""A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to such
-masks."""
+"""A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to
+masks, each one of these."""
 
 TYPES = {"bool": "uint8", "float16": "float32"}
 """Types that are converted. The other types are read as they are."""

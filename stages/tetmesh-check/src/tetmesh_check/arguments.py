@@ -17,9 +17,9 @@ _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_pass
 
 
 Method = Literal["auto", "ftetwild", "hxt", "tetgen"]
-"""The tetrahedralizer. ``auto`` is fTetWild up to :data:`.MAX_FTETWILD_VERTICES`, HXT above. It is
-fTetWild also if HXT is missing or fails, or if its tetrahedra miss a limit of shape after mending.
-"""
+"""The tetrahedralizer. ``auto`` selects HXT for many materials, for quadratic tetrahedra and above
+:data:`.MAX_FTETWILD_VERTICES`, and fTetWild otherwise. For one object, fTetWild is also used if HXT
+is missing or fails, and may be used if the tetrahedra of HXT miss a limit of shape."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +36,17 @@ class Arguments:
     pictures: Path | None = None
     labels_volume: Path | None = None
     exports: tuple[str, ...] = ()
-    """The other :data:`.FORMATS` to write."""
+    """Further formats to write, of :data:`.FORMATS`."""
     unit: str = "mm"
     """Unit of the coordinates in these formats."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
     method: Method = "auto"
-    """The tetrahedralizer."""
+    """See :data:`Method`."""
     envelope: float | None = None
-    """Largest distance of the boundary from the surface, mm."""
+    """Maximum distance by which fTetWild moves the surface, mm; by default derived from h."""
     stop_energy: float | None = None
-    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in
+    """Maximum AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in
     turn."""
     max_passes: int = 80
     max_seconds: float = 3600.0
@@ -73,17 +73,17 @@ class Arguments:
         return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
 
     def export_paths(self, many: bool = False) -> list[Path]:
-        """Return the files of other formats, which many materials write under other names."""
+        """Return the files of the exports. For many materials, some have other names."""
         return export_paths(self.output, self.name, self.exports, many)
 
     def output_paths(self) -> list[Path]:
-        """Return the files to be written; the pictures where their folder exists."""
+        """Return the files to be written. Pictures are included only if their folder exists."""
         quadratic = [self.quadratic] if self.order == 2 else []
         pictures = [path for path in self.picture_paths().values() if path.parent.is_dir()]
         return [self.output, *quadratic, *self.export_paths(), *pictures]
 
     def refuse(self) -> None:
-        """Refuse another suffix, and quadratic tetrahedra that cannot be made or stored."""
+        """Refuse outputs other than ``.vtu``, and invalid combinations with ``--order 2``."""
         if self.output.suffix != ".vtu":
             raise StageError(
                 f"{self.output}: does not end in .vtu",
@@ -107,7 +107,7 @@ class Arguments:
             )
 
     def refuse_for_materials(self) -> None:
-        """Refuse the options that have ``one_object`` in ``options.toml``."""
+        """Refuse values of options that ``options.toml`` allows for one object only."""
         for option in options():
             rule, value = option.get("one_object"), getattr(self, option["name"].replace("-", "_"), None)
             if rule and value not in (option.get("default"), *rule.get("allowed", ())):
@@ -118,7 +118,7 @@ class Arguments:
                 )
 
     def picture_paths(self, many: bool = True) -> dict[str, Path]:
-        """Return the pictures by kind, in order; ``regions`` is of many materials only."""
+        """Return the pictures by kind, in order. Only many materials have the kind ``regions``."""
         if self.pictures is None:
             return {}
         kinds = ("surface", "closeup", "cut", *(["regions"] if many else []))

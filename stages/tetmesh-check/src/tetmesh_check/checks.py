@@ -26,8 +26,8 @@ _NO_PERCENT = 5e-4
 _NO_DISTANCE = 1e-6
 """Distances below this share of their limit are rounding errors and print as 0 mm."""
 SURFACE_CHANGES = {False: 5.0, True: 2.0}
-"""Largest change of the volume of the surface against the voxels, percent, without a scale and with
-one.
+"""Maximum change of volume from the voxels to the surface, percent, without a scale (``False``) and
+with one (``True``).
 
 ``distfield`` warns of changes of F above the same limits (``VOLUME_LIMITS``,
 ``SCALED_VOLUME_LIMITS``)."""
@@ -39,7 +39,7 @@ SHAPE = {
 }
 """Measures of shape that have a limit: name of the limit and of its check, words, and unit."""
 OfShape = dict[str, NDArray[np.bool_]]
-"""Some of the tetrahedra for each measure in :data:`SHAPE`, shape ``(m,)``."""
+"""For each measure in :data:`SHAPE`, a mask of tetrahedra, shape ``(m,)``."""
 _REQUIRED = {
     "positive_volumes": "{value} of {total} tetrahedra are inverted or flat",
     "interfaces_kept": "the interfaces between materials lost {missing} of the surface and gained {added}",
@@ -55,7 +55,7 @@ _REQUIRED = {
     ),
     "solve_converged": "conjugate gradients solved {told}",
 }
-"""Words of the checks that make a mesh unfit."""
+"""Messages of the checks whose failure makes a mesh unfit."""
 _DOUBTS = {
     "boundary_manifold": "{value} edges and vertices of the boundary are not manifold{but}",
     "euler_characteristic": "the Euler characteristic of the boundary is {value}, that of the surface {limit}{but}",
@@ -65,7 +65,7 @@ _DOUBTS = {
         "that no element folds, {too_far} are too far from it"
     ),
 }
-"""Words of the checks that are only worth a warning."""
+"""Messages of the checks whose failure is only a warning."""
 _EXACT = ("bodies", "euler_characteristic")
 """Checks whose value must equal the limit. The absolute value of others must not exceed it."""
 
@@ -75,40 +75,40 @@ class Limits:
     """Limits of a fit mesh."""
 
     min_dihedral: float = 5.0
-    """Smallest dihedral angle, degrees. The condition number of the stiffness matrix grows with the
+    """Minimum dihedral angle, degrees. The condition number of the stiffness matrix grows with the
     inverse of its sine."""
     min_scaled_jacobian: float = 0.05
-    """Smallest scaled Jacobian."""
+    """Minimum scaled Jacobian."""
     max_volume_change: float = 1.0
-    """Largest difference between the volume of the tetrahedra and that inside the surface,
+    """Maximum difference between the volume of the tetrahedra and that inside the surface,
     percent."""
     max_distance: float | None = None
-    """Largest distance between the boundary of the tetrahedra and the surface, either way, mm;
-    default twice the envelope."""
+    """Maximum distance between the boundary of the tetrahedra and the surface, in both directions,
+    mm; default twice the envelope."""
     accept_forced: bool = False
     """Whether tetrahedra below a limit of shape pass where the surface forces them below it."""
 
     def distance(self, envelope: float) -> float:
-        """Give the largest distance for an envelope, mm."""
+        """Return the maximum distance for an envelope, mm."""
         return self.max_distance if self.max_distance is not None else 2.0 * envelope
 
 
 @dataclass(frozen=True)
 class Check:
-    """One verdict."""
+    """The result of one check."""
 
     name: str
-    """Short name, stable from version to version."""
+    """Short name. It is the same in all versions."""
     passed: bool
     """Whether the mesh is fit in this respect."""
     required: bool
-    """Whether a failure makes the mesh unfit (exit code 1) or is only worth a warning."""
+    """Whether a failure makes the mesh unfit (exit code 1) or is only a warning."""
     value: float
     """The measured value."""
     limit: float
     """The limit of the value."""
     words: str
-    """The verdict as a sentence."""
+    """The message."""
     accepted: int = 0
     """Elements beyond the limit that pass because the user accepts them."""
 
@@ -121,16 +121,17 @@ class Check:
 
 
 def check(name: str, value: float, limit: float = 0, **told: Any) -> Check:
-    """Compare a value with its limit.
+    """Compare a value with its limit, and return the result.
 
     Parameters
     ----------
     name
-        Name of the check.
+        Key of :data:`_REQUIRED` or :data:`_DOUBTS`.
     value, limit
-        The value and its limit.
+        They must be equal for :data:`_EXACT`. For other checks, the limit applies to the absolute
+        value.
     told
-        What the words of the check tell in addition.
+        Further values in the message of the check.
     """
     passed = value == limit if name in _EXACT else abs(value) <= limit
     words = (_REQUIRED | _DOUBTS)[name].format(value=value, limit=limit, **told)
@@ -148,14 +149,14 @@ def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
 
 
 def smallest_elsewhere(quality: TetrahedronQuality, forced: OfShape) -> dict[str, float]:
-    """Smallest value of each measure among tetrahedra that are not forced; infinite if all are."""
+    """Return each minimum without the forced tetrahedra; infinite if all are forced."""
     return {
         measure: float(getattr(quality, measure).min(where=~kept, initial=np.inf)) for measure, kept in forced.items()
     }
 
 
 def shape_of(quality: TetrahedronQuality, tetrahedron: int) -> dict[str, float]:
-    """Write the measures of shape of one tetrahedron for the report."""
+    """Return the measures of one tetrahedron that have a limit, by their names in the report."""
     return {name: float(getattr(quality, measure)[tetrahedron]) for measure, (name, *_) in SHAPE.items()}
 
 
@@ -173,7 +174,7 @@ def poor_tetrahedra(
     quality
         The measures.
     limits
-        What is demanded.
+        The limits.
     """
     poor = np.flatnonzero(np.any([*below_limits(quality, limits).values()], axis=0))
     poor = poor[np.argsort(quality.min_dihedral[poor], kind="stable")]
@@ -185,22 +186,22 @@ def poor_tetrahedra(
 
 
 def counted(count: int, thing: str, things: str = "") -> str:
-    """Write a number of things.
+    """Write a count with its noun, such as ``3 triangles``.
 
     Parameters
     ----------
     count
-        How many.
+        The count.
     thing
-        What one of them is called.
+        The noun in the singular.
     things
-        What several are called; without it ``thing`` with an ``s``.
+        The noun in the plural; by default ``thing`` with an ``s``.
     """
     return f"{count} {thing if count == 1 else things or f'{thing}s'}"
 
 
 def percent(change: float) -> str:
-    """Write a change with its sign; rounding errors as 0 %.
+    """Write a change with its sign, and rounding errors as 0 %.
 
     Parameters
     ----------
@@ -218,10 +219,10 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: OfShape) -
     quality
         The measures.
     limits
-        What is demanded.
+        The limits.
     forced
-        Which tetrahedra the surface keeps from it; empty if none. They fail unless the limits
-        accept them.
+        The tetrahedra that the surface forces below each limit; may be empty. They fail unless
+        ``accept_forced`` is set.
     """
     checks = [check("positive_volumes", int((quality.volume <= 0).sum()), total=quality.volume.size)]
     for measure, below in below_limits(quality, limits).items():
@@ -247,7 +248,7 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: OfShape) -
 
 
 def _change(before: float, after: float) -> float:
-    """Change of a volume, percent."""
+    """Return the change of a volume, percent."""
     return 100.0 * (after / before - 1.0)
 
 
@@ -263,7 +264,7 @@ def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_dist
     limits
         The limits.
     max_distance
-        Largest distance between boundary and surface, mm.
+        Maximum distance between boundary and surface, mm.
     """
     volume, surface = results["volume"], results["surface"]
     boundary, wanted = volume["boundary_topology"], surface["topology"]["euler_characteristic"]
@@ -332,7 +333,7 @@ def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[
     Returns
     -------
     list of Check
-        One check, which is only worth a warning; none if no volumes are known.
+        One check, whose failure is only a warning; empty if no volumes are known.
     """
     known = [row for row in rows if "mesh_mm3" in row["change_percent"]]
     changes = {row["name"]: row["change_percent"]["mesh_mm3"] for row in known}
@@ -353,21 +354,21 @@ def surface_volume_checks(rows: Sequence[dict[str, Any]], scaled: bool) -> list[
 
 
 def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context) -> list[str]:
-    """Report the verdicts and the shapes; warn about doubtful checks.
+    """Add the checks to the report and the shapes to the closing table; print the warnings.
 
     Parameters
     ----------
     checks
-        All verdicts.
+        All checks.
     quality
         Shapes of the tetrahedra.
     context
-        The frame of the run.
+        The context of the run.
 
     Returns
     -------
     list of str
-        The required checks that failed, in words.
+        The messages of the required checks that failed.
     """
     context.results["checks"] = [{**asdict(check), "verdict": check.verdict} for check in checks]
     shapes = [

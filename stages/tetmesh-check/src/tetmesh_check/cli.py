@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 TOOL = "tetmesh-check"
 COMMAND_LINE = "--command-line"
-"""Alone on the command line, it asks for the options as JSON, the twin of ``CommandLine`` in
+"""If this is the only word, the program prints its options as JSON, like ``CommandLine`` in
 common/stage/src/cli/shell.rs."""
 CHECK_OPTIONS = "--check-options"
-"""First word of a command line that is only checked; what is known of the case follows as JSON: the
-twin of ``Known`` in common/stage/src/cli/check.rs."""
+"""First word of a command line that is checked, but not run. The second word is what is known about
+the case, as JSON, like ``Known`` in common/stage/src/cli/check.rs."""
 _FOR_ARGPARSE = ("action", "choices", "default", "dest", "metavar", "required")
 
 
@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
     argv
         The command line without the program's name; that of the process by default.
     make_context
-        Shows progress and messages.
+        Creates the context of the run, which shows progress and messages.
 
     Returns
     -------
@@ -81,13 +81,13 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
     try:
         context = make_context(words, parsed)
     except StageError as error:
-        # there is no report: it would replace another file
+        # no report is written: its path may be that of another file
         return close([], error, False)
     return guarded(TOOL, lambda: _run(parsed, context), context.close)
 
 
 def _check_options(known: str, words: list[str]) -> None:
-    """Refuse what a run would refuse; print what is known of the case for the next stage."""
+    """Refuse what a run would refuse; print what is known about the case for the next stage."""
     parsed = build_parser().parse_args(words)
     from tetmesh_check.fem.currents import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
@@ -111,7 +111,7 @@ def _check_options(known: str, words: list[str]) -> None:
 
 
 def _arguments(parsed: argparse.Namespace) -> Arguments:
-    """Convert the parsed command line; refuse what does not go together."""
+    """Convert the parsed command line; refuse options that cannot be combined."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.arguments import Arguments
     from tetmesh_check.checks import Limits

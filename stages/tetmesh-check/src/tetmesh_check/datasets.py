@@ -1,4 +1,4 @@
-"""Triangle meshes, and texts in the field data, of VTK's data sets."""
+"""Converts triangle meshes from and to PyVista, and stores texts in the field data of VTK files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tetmesh_check.quality import Cells, Points
 
 
 def to_polydata(points: Points, triangles: Cells) -> pv.PolyData:
-    """Build pyvista's form of a triangle mesh.
+    """Convert a triangle mesh to PyVista.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def to_polydata(points: Points, triangles: Cells) -> pv.PolyData:
 
 
 def from_polydata(surface: pv.PolyData) -> tuple[Points, Cells]:
-    """Points, mm, and triangles of pyvista's form of a triangle mesh.
+    """Return the points, mm, and the triangles of a mesh of PyVista.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def from_polydata(surface: pv.PolyData) -> tuple[Points, Cells]:
 
 
 def add_text(dataset: pv.DataSet, name: str, text: str) -> None:
-    """Put a text into the field data: its bytes (UTF-8), because meshio cannot read VTK's strings.
+    """Store a text in the field data as bytes (UTF-8), because meshio cannot read VTK's strings.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def add_text(dataset: pv.DataSet, name: str, text: str) -> None:
 
 
 def text_of(dataset: pv.DataSet, name: str) -> str | None:
-    """Return a text of the field data, or ``None`` where there is none.
+    """Return a text of the field data, or ``None`` if there is none.
 
     Parameters
     ----------

@@ -39,16 +39,16 @@ def file_error(path: Path, doing: str, source: BaseException, what_next: str) ->
 
 
 def refuse_file(path: Path, what: str, why: str, remedy: str) -> NoReturn:
-    """Refuse the content of a file, in the three parts of a message."""
+    """Raise an error about the content of a file."""
     raise StageError(f"{path}: {what}", why, remedy)
 
 
 def described(problem: Exception) -> StageError:
-    """Describe any exception in three parts."""
+    """Convert an exception to an error in three parts."""
     if isinstance(problem, StageError):
         return problem
     if isinstance(problem, OSError):
-        # an error without a name may be of any file, also of one in TMPDIR
+        # an error without a file name may concern any file, even one in TMPDIR
         name = Path(problem.filename or "a file that the system does not name")
         folders = f"the folder of the output and in {tempfile.gettempdir()} (TMPDIR)"
         return file_error(name, "use", problem, f"check permissions and free space in {folders}")
@@ -81,7 +81,7 @@ def _handle_signals(handler: Callable[..., object] | signal.Handlers) -> None:
 
 
 def _stop(*_: object) -> None:
-    # a second signal must not stop the cleaning up
+    # a second signal must not stop the cleanup
     _handle_signals(signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -94,9 +94,9 @@ def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = clos
     tool
         Name of the program.
     work
-        Does the work, and returns the checks that failed, in words, if it checks anything.
+        Does the work, and returns the messages of the failed checks, or ``None``.
     close
-        Ends the program. Signals are ignored from here on.
+        Ends the program. Signals are ignored from then on.
 
     Returns
     -------

@@ -62,12 +62,13 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     Returns
     -------
     tuple
-        The field, and the history that the file carries.
+        The field, and the history in the file.
 
     Raises
     ------
     StageError
-        If it is of another kind, flat, has values that are no numbers, or does not hold the object.
+        If the file has no such field, is two-dimensional, has values that are not finite, or does
+        not contain the object.
     """
     why = "mid-edge nodes are brought onto the surface where that distance is 0"
     advice = "give the file that distfield wrote for this surface"
@@ -75,7 +76,7 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     step = np.asarray(image.direction_matrix) * image.spacing
     index = np.linalg.solve(step, (points - image.GetPoint(0)).T).T
     low, high = index.min(axis=0), index.max(axis=0)
-    # a vertex may lie half a voxel beyond the outermost centres, where the border of the volume is
+    # the border of the volume is half a voxel beyond the outermost voxel centres
     if (low < -0.5).any() or (high > np.array(image.dimensions) - 0.5).any():
         raise StageError(
             f"{path}: the surface reaches beyond this field (voxels {low.round(1).tolist()} to {high.round(1).tolist()} of "
@@ -97,12 +98,13 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
     Returns
     -------
     tuple
-        The edge lengths, mm, and the history that the file carries.
+        The edge lengths, mm, and the history in the file.
 
     Raises
     ------
     StageError
-        If it is of another kind, flat, or has values that are no edge lengths.
+        If the file has no such field, is two-dimensional, or has values that are not positive and
+        finite.
     """
     why = "it holds the target edge lengths of the tetrahedra, mm"
     image, field = _read_field(path, SIZING, why, "give the file that sizefield wrote", 0.0)

@@ -13,7 +13,7 @@ from tetmesh_check.errors import StageError, file_error
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """Make a folder for temporary files and remove it at the end; errors in it name the place.
+    """Create a temporary folder, and remove it at the end. Errors name its location.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     Raises
     ------
     StageError
-        If the folder cannot be made or the disk is full.
+        If the folder cannot be created or the disk is full.
     """
     try:
         with tempfile.TemporaryDirectory(prefix=prefix) as folder:
@@ -39,22 +39,22 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that a reader, or ``make``, never sees half of it.
+    """Write a file such that no reader sees it incomplete.
 
     Parameters
     ----------
     path
         The target.
     write
-        Writes the content to the path it is handed, which keeps the target's suffix because some
-        writers choose the format by it.
+        Writes the content to a temporary path. Its suffix is that of the target, because some
+        writers choose the format by the suffix.
 
     Raises
     ------
     StageError
         If the folder cannot be written to or the disk is full; the temporary file is removed.
     """
-    # by such a name isoparticles-case knows what a killed program has left
+    # isoparticles-case recognizes the files of killed programs by such names
     temporary = path.with_name(f".isoparticles-{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         write(temporary)
@@ -75,6 +75,6 @@ def write_text(path: Path, text: str) -> None:
     path
         The target.
     text
-        Its whole content.
+        The content.
     """
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -30,15 +30,15 @@ class ForcedSides(NamedTuple):
     side: Labels
     """:data:`INSIDE` or :data:`OUTSIDE`, shape ``(k,)``."""
     bound: Values
-    """The largest value that a tetrahedron reaches there: of the minimum dihedral angle, degrees,
-    or of the scaled Jacobian, shape ``(k,)``."""
+    """The maximum that a tetrahedron can reach there: of its minimum dihedral angle, degrees, or of
+    its scaled Jacobian, shape ``(k,)``."""
 
     def where(self, kept: NDArray[Any]) -> ForcedSides:
         """Select some of the sides by a mask or by their indices."""
         return ForcedSides(self.facet[kept], self.side[kept], self.bound[kept])
 
     def occupied(self, found: Conformity) -> tuple[ForcedSides, Labels]:
-        """Return the sides that have a tetrahedron, the sharpest first, and these tetrahedra."""
+        """Return the sides with a tetrahedron, the lowest bound first, and these tetrahedra."""
         order = np.argsort(self.bound, kind="stable")
         facet = self.facet[order]
         standing = np.where(self.side[order] == INSIDE, found.behind[facet], found.before[facet])
@@ -92,7 +92,7 @@ def find_forced(surface: Surface, limits: Limits, context: Context) -> tuple[For
 
 
 def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:
-    """Write the number of triangles, and the bound and the place of the sharpest."""
+    """Write the number of triangles, and the bound and the place of that with the lowest bound."""
     sharpest = int(found.bound.argmin())
     place = place_of(surface.points, surface.triangles[found.facet[sharpest]])
     return counted(len(found.facet), "triangle"), f"{found.bound[sharpest]:.3g}", place
@@ -101,7 +101,7 @@ def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:
 def list_forced(
     sides: ForcedSides, possible: str, surface: Surface, found: Conformity, quality: TetrahedronQuality
 ) -> list[dict[str, Any]]:
-    """List the tetrahedra on forced sides of triangles for the report, the sharpest first.
+    """List the tetrahedra on forced sides for the report, the lowest bound first.
 
     Parameters
     ----------

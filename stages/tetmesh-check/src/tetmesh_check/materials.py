@@ -1,8 +1,9 @@
 """The materials on both sides of each triangle, their names, and the material of each tetrahedron.
 
-Such a surface is a complex: triangles, each between two materials, that meet along junction edges
-and share their vertices. Material 0 is the outside. The triangle is counter-clockwise seen from the
-material of the lower number; the higher one is called its inside.
+A surface of many materials is a complex: each triangle lies between two materials, and triangles
+meet along junction edges and share their vertices. Material 0 is the outside. A triangle is
+counter-clockwise as seen from the material with the lower number; the other one is called its
+inside.
 
 The tetrahedralizer's own volumes are not used. The Rust code finds the materials of tetrahedra from
 connectivity alone: tetrahedra are connected through faces that are not triangles of an interface,
@@ -29,9 +30,9 @@ from tetmesh_check.topology import pairs_of
 INSIDE, OUTSIDE = "material_inside", "material_outside"
 """Cell arrays of a surface of many materials."""
 NOTHING = 0
-"""Number of the material outside of all others."""
+"""Number of the outside in tables of materials."""
 NOBODY = -1
-"""Stands for a tetrahedron that does not exist."""
+"""Index that stands for no tetrahedron."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class Sides:
     """The two materials that each triangle of a surface lies between."""
 
     inside: Labels
-    """Number of the one behind it, the higher of the two, shape ``(m,)``."""
+    """Number of the material behind each triangle, the higher of the two, shape ``(m,)``."""
     outside: Labels
-    """Number of the one before it, shape ``(m,)``; 0 where there is none."""
+    """Number of the material in front of each triangle, shape ``(m,)``; 0 for the outside."""
     table: list[dict[str, Any]]
-    """The material of each number: ``name`` and, from the pipeline, ``labels``."""
+    """A row for each material by number: ``name`` and, if known, ``labels``."""
 
     @property
     def names(self) -> list[str]:
@@ -52,11 +53,11 @@ class Sides:
 
     @property
     def present(self) -> list[int]:
-        """Numbers of the materials that have a triangle, but the outside, ascending."""
+        """Numbers of the materials that have triangles, ascending, without the outside."""
         return sorted({*np.unique(self.inside).tolist(), *np.unique(self.outside).tolist()} - {NOTHING})
 
     def pairs(self) -> tuple[Cells, Labels]:
-        """Return pairs ``(inside, outside)`` that touch, and the pair of each triangle."""
+        """Return the pairs ``(inside, outside)`` that touch, and the pair of each triangle."""
         return pairs_of(self.inside, self.outside)
 
     def pair_name(self, pair: tuple[int, int]) -> str:
@@ -71,12 +72,12 @@ class Sides:
 
 
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
-    """Find the materials of a surface; ``None`` where it is that of one object.
+    """Return the materials of a surface; ``None`` for the surface of one object.
 
     Parameters
     ----------
     path
-        Its file, for the messages.
+        The file, for the messages.
     surface
         The file as read.
 
@@ -122,12 +123,12 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
 
 
 class Conformity(NamedTuple):
-    """Conformity of tetrahedra and interfaces."""
+    """How tetrahedra fit the interfaces between materials."""
 
     regions: Labels
     """Material of each tetrahedron, shape ``(m,)``; 0 if the triangles state none or several."""
     parts: Labels
-    """Part of each tetrahedron: connected through faces that are no triangles, shape ``(m,)``."""
+    """Part of each tetrahedron: connected through faces that are not triangles, shape ``(m,)``."""
     bodies: Labels
     """Body of each tetrahedron: connected through faces, shape ``(m,)``."""
     behind: Labels
@@ -159,7 +160,8 @@ def conform(vertices: int, tetrahedra: Cells, triangles: Cells, sides: Sides) ->
     tetrahedra
         Vertex indices in VTK order, positive, shape ``(m, 4)``.
     triangles
-        Triangles of the interfaces with the same vertices, none twice, shape ``(k, 3)``.
+        Triangles of the interfaces, with the same vertex indices and without duplicates, shape
+        ``(k, 3)``.
     sides
         Their materials.
     """

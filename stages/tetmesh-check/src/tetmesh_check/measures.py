@@ -1,4 +1,4 @@
-"""Measures and marks of the tetrahedra for the report, by region and at the boundary."""
+"""Measures the tetrahedra for the report, and marks their regions and their boundary."""
 
 from __future__ import annotations
 
@@ -141,9 +141,9 @@ def mark(
     surface, mesh
         The surface, and the tetrahedra that fill it.
     found
-        How they fit the interfaces between many materials.
+        How they fit the interfaces between many materials; ``None`` for one object.
     labels
-        Labels of the tissues of one object.
+        The label volume of one object, if there is one.
     context
         For the results.
     """

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 _NO_EXPONENT_BELOW = 1e7
-"""Longer numbers take more room than their exponent, unless spaces separate the thousands."""
+"""Larger numbers are written with an exponent, unless spaces separate the thousands."""
 
 
 def plain(value: float, digits: int = 3, spaced: bool = False) -> str:
-    """Write a number with some significant digits; from 1000 on without decimals.
+    """Write a number with a few significant digits, and without decimals from 1000 on.
 
     Parameters
     ----------

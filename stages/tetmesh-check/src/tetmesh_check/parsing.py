@@ -28,7 +28,7 @@ def read_table() -> dict[str, Any]:
 
 
 def options() -> list[dict[str, Any]]:
-    """Return the entries of ``options.toml`` with ``name``, without dashes, and ``is_switch``."""
+    """Return the options of ``options.toml`` with two more keys: ``name`` and ``is_switch``."""
     return [
         {**option, "name": option["names"][-1][2:], "is_switch": option.get("action") in ("store_true", "count")}
         for group in read_table()["group"]
@@ -45,7 +45,8 @@ class Parser(argparse.ArgumentParser):
     tool
         Name of the program.
     more
-        As of argparse. ``--version`` is added together with ``--help``.
+        Other arguments of ``argparse.ArgumentParser``. ``--version`` is added together with
+        ``--help``.
     """
 
     def __init__(self, tool: str, **more: Any) -> None:
@@ -55,8 +56,8 @@ class Parser(argparse.ArgumentParser):
             self.add_argument("--version", action="version", help="print the version")
 
     def error(self, message: str) -> NoReturn:
-        """Say what was not understood, and end the program."""
-        # in a clone, programs are not on the PATH
+        """Print a usage error, and end the program."""
+        # show the path of the program: in a clone, it is not on the PATH
         command = self.prog if sys.argv[0].endswith(".py") else sys.argv[0]
         if front := os.environ.get("ISOPARTICLES_FRONT"):
             command = f"{front} {self.prog}"
@@ -87,7 +88,7 @@ def reader(option: dict[str, Any]) -> Callable[[str], Any]:
         return value
 
     def whole(text: str) -> int:
-        # the native code has 64 bits for them
+        # the Rust code stores them in 64 bits
         if not text.isascii() or not text.isdigit() or not option["low"] <= int(text) < 2**64:
             raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {option['low']}")
         return int(text)
@@ -104,7 +105,7 @@ def _formats(text: str) -> tuple[str, ...]:
 
 
 def _named_number(text: str) -> tuple[str, float]:
-    """Parse ``NAME=VALUE``; the name may hold equals signs."""
+    """Parse ``NAME=VALUE``; the name may contain equals signs."""
     name, equals, value = text.rpartition("=")
     if not name or not equals:
         raise argparse.ArgumentTypeError(f"'{text}' is not NAME=VALUE")

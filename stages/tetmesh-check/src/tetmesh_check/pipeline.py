@@ -29,17 +29,17 @@ ENVELOPE_FRACTION = 0.05
 """Default envelope, relative to the edge length that 95 % of the surface exceeds. It is small
 enough to keep thin walls apart."""
 BYTES_AT_LEAST = 600 * 2**20
-"""Memory of the packages without a mesh; see :data:`BYTES_PER_VERTEX`."""
+"""Memory of the program without a mesh; see :data:`BYTES_PER_VERTEX`."""
 BYTES_PER_VERTEX = 5100
-"""Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices
-of `heart` and 2,050 MiB for the 292,825 of `ribs`, with 15 to 20 tetrahedra a vertex
-(docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
+"""Memory for each vertex of the surface. Both constants are from the line through 896 MiB for the
+55,626 vertices of `heart` and 2,050 MiB for the 292,825 of `ribs`, with 15 to 20 tetrahedra per
+vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
 
 
 def _read(
     arguments: Arguments, context: Context
 ) -> tuple[Surface, GridField | None, GridField | None, InputVolume | None]:
-    """Read surface, sizes, F and labels; refuse a surface that needs more memory than there is."""
+    """Read the surface, h, F and the labels; refuse a surface that needs too much memory."""
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
     context.check_memory(
@@ -61,7 +61,7 @@ def _read(
 
 
 def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) -> tuple[GridField, Values]:
-    """Return the edge lengths everywhere, and those at the surface, mm."""
+    """Return the field of edge lengths, and the edge lengths at the surface, mm."""
     if sizing is not None:
         at_surface = sizing.trilinear(surface.points)
         summary = summarize(at_surface, np.linspace(0.0, float(at_surface.max()), 51))
@@ -76,7 +76,7 @@ def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) 
 def _task(
     arguments: Arguments, surface: Surface, sizing: GridField | None, labels: InputVolume | None, context: Context
 ) -> Task:
-    """Check the surface; find edge lengths, and an envelope or where it forces poor tetrahedra."""
+    """Check the surface; find the edge lengths, and the envelope or the forced sides."""
     with context.step("check surface"):
         found, parts = check_surface(arguments.surface, surface)
         context.results["surface" if surface.sides is None else "complex"] = found
@@ -104,7 +104,7 @@ def _task(
 def _curve(
     arguments: Arguments, marked: MarkedMesh, field: GridField, context: Context
 ) -> tuple[MarkedMesh, list[Check]]:
-    """Put a node on each edge, write this mesh, and judge it."""
+    """Add a node on each edge, write this mesh, and check it."""
     path = arguments.quadratic
     with context.step("quadratic"):
         curved = make_quadratic(marked, field)
@@ -120,7 +120,7 @@ def _curve(
 
 
 def _judge(task: Task, filled: Filled, context: Context) -> list[Check]:
-    """Judge the tetrahedra, and the volumes and parts of the regions against the surface."""
+    """Return the checks of the tetrahedra and of the volumes inside the surface."""
     results, limits = context.results, task.arguments.limits
     if task.surface.sides is None:
         bodies = int(task.parts.sheets()[0].max()) + 1
@@ -134,7 +134,7 @@ def _judge(task: Task, filled: Filled, context: Context) -> list[Check]:
 
 
 def _currents(task: Task, filled: Filled) -> Forward | None:
-    """Return the problem of currents if there is a source and all tetrahedra have materials."""
+    """Return the problem of currents if there is a source and the mesh fits the interfaces."""
     arguments, sides, found = task.arguments.forward, task.surface.sides, filled.conformity
     if arguments.source is None or sides is None or found is None or found.faults:
         return None
@@ -147,20 +147,20 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     Parameters
     ----------
     arguments
-        What the user asked for.
+        The arguments of the command line.
     context
-        The frame of the run.
+        The context of the run.
 
     Returns
     -------
     list of str
-        The checks that failed, in words; empty when the mesh is fit.
+        The messages of the failed checks; empty if the mesh is fit.
 
     Raises
     ------
     StageError
-        If there is no volume mesh; then only the log is written. An interrupt after that leaves the
-        complete mesh.
+        If the surface cannot be filled; only the log is written then. If the run is interrupted
+        after the mesh is written, the mesh remains.
     """
     _native.set_threads(context.threads)
     with context.step("read"):
@@ -178,7 +178,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     mesh = measure(task, filled, context)
     marked = mark(task.surface, mesh, filled.conformity, labels, context)
     with context.step("write"):
-        # before anything is solved, so that a later failure leaves the mesh
+        # the mesh remains if a later step fails
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
     with drawing(arguments, context, many):
         checks = _judge(task, filled, context)

@@ -23,8 +23,8 @@ class Quadratic(NamedTuple):
 
     mesh: MarkedMesh
     jacobian: Values
-    """Smallest Bezier coefficient of each element's Jacobian over that of the straight tetrahedron,
-    shape ``(m,)``; 1 where it is straight."""
+    """Minimum Bezier coefficient of each element's Jacobian over that of the straight tetrahedron,
+    shape ``(m,)``; 1 for a straight element."""
     results: dict[str, Any]
     """Results for the report."""
     checks: list[Check]

@@ -106,9 +106,10 @@ signed_tetrahedron_volumes = _native.tetrahedron_volumes
 
 
 def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
-    """Bring tetrahedra that are all wound the other way into VTK's order.
+    """Reverse the vertex order of all tetrahedra if most of them are inverted.
 
-    Single inverted tetrahedra among positive ones are a fault of the mesh and stay as they are.
+    The result is in VTK's order. Single inverted tetrahedra are a fault of the mesh, and are not
+    changed.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
     Returns
     -------
     tuple
-        The tetrahedra, and whether they were turned.
+        The tetrahedra, and whether they were reversed.
     """
     volumes = signed_tetrahedron_volumes(points, tetrahedra)
     if (volumes < 0).sum() <= (volumes > 0).sum():
@@ -129,7 +130,7 @@ def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
 
 
 def centres_of(points: Points, cells: Cells) -> Points:
-    """Mean position of the vertices of each cell, mm, shape ``(m, 3)``.
+    """Return the mean position of the vertices of each cell, mm, shape ``(m, 3)``.
 
     Parameters
     ----------
@@ -144,9 +145,10 @@ def centres_of(points: Points, cells: Cells) -> Points:
 
 
 summarize = _native.summarize
-"""Condense one measure into the numbers of the report: ``count, min, max, mean, median``,
-``percentiles`` by name and, if the edges of bins are given, ``histogram`` with ``edges`` and
-``counts``. Infinite values (degenerate cells) are only counted, in ``infinite``."""
+"""Return the statistics of a measure for the report: ``count``, ``min``, ``max``, ``mean``,
+``median``, ``percentiles`` by name and, if the edges of bins are given, ``histogram`` with
+``edges`` and ``counts``. Values that are not finite (degenerate cells) are only counted, in
+``infinite``."""
 
 
 def summarize_distances(distances: Values) -> dict[str, Any]:
@@ -178,13 +180,13 @@ _BINS = {
 
 
 def summarize_all(quality: TriangleQuality | TetrahedronQuality, own: Any = slice(None)) -> dict[str, dict[str, Any]]:
-    """Condense every measure of a mesh (see :data:`summarize`).
+    """Return the statistics of every measure of a mesh (:data:`summarize`).
 
     Parameters
     ----------
     quality
         The measures of the triangles or of the tetrahedra.
     own
-        Indices of those to condense; all by default.
+        Indices of the cells to use; all by default.
     """
     return {name: summarize(values[own], _BINS.get(name)) for name, values in quality._asdict().items()}

@@ -14,12 +14,12 @@ from tetmesh_check.surface import Surface
 from tetmesh_check.volumes import InputVolume
 
 SURFACE, CAP = 1, 2
-"""Marks of the boundary: the surface of the object, and its cut by the border of the volume."""
+"""Marks of the boundary: the surface of the object, and where the border of the volume cuts it."""
 _ADVICE = "give the label volume that the case was made from"
 
 
 def _parameters(history: Any) -> Iterator[dict[str, Any]]:
-    """Parameters of the runs of ``distfield`` in a history and those of all its inputs."""
+    """Yield the parameters of ``distfield`` in a history and in those of all its inputs."""
     if isinstance(history, dict):
         if history.get("tool") == "distfield":
             yield history.get("parameters", {})
@@ -51,7 +51,7 @@ def has_scale(history: Any) -> bool:
 
 
 def share_outside(positions: Points, volume: InputVolume) -> float:
-    """Share of positions that lie in no voxel.
+    """Return the share of positions that lie in no voxel.
 
     Parameters
     ----------
@@ -65,12 +65,12 @@ def share_outside(positions: Points, volume: InputVolume) -> float:
 
 
 def check_labels(positions: Points, volume: InputVolume, wanted: list[int] | None) -> None:
-    """Refuse a label volume that cannot be that of an object.
+    """Refuse a label volume that cannot belong to the surface.
 
     Parameters
     ----------
     positions
-        Positions of its vertices, mm, shape ``(n, 3)``.
+        Vertices of the surface, mm, shape ``(n, 3)``.
     volume
         The labels.
     wanted
@@ -79,7 +79,7 @@ def check_labels(positions: Points, volume: InputVolume, wanted: list[int] | Non
     Raises
     ------
     StageError
-        If none of them is in the volume, or if the volume lies elsewhere.
+        If the volume has none of these labels, or lies elsewhere.
     """
     if share_outside(positions, volume) > 0.5:
         raise StageError(
@@ -92,7 +92,7 @@ def check_labels(positions: Points, volume: InputVolume, wanted: list[int] | Non
 
 
 def regions_of(centres: Points, volume: InputVolume, wanted: list[int] | None) -> Labels:
-    """Label of the voxel of each position, or of the nearest wanted voxel.
+    """Return the label at each position, or that of the nearest wanted voxel.
 
     Parameters
     ----------
@@ -116,9 +116,9 @@ def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
     surface
         The input, with its own marks.
     points, boundary
-        The boundary of the tetrahedra; a triangle is marked like that of the input nearest to its
-        centre, and where a marked and another one are equally near, like the one whose normal is
-        more like its own.
+        The boundary of the tetrahedra. Each triangle gets the mark of the input triangle nearest to
+        its centroid. If a cap and a surface triangle are equally near, the one with the more
+        similar normal counts.
     """
     if surface.cap is None:
         return np.full(len(boundary), SURFACE)

@@ -24,7 +24,7 @@ _TOOLS = "use a surface from reconstruct, or repair this surface first"
 """Remedy for a surface that bounds no volumes."""
 
 COLUMNS = ("voxels_mm3", "field_mm3", "mesh_mm3", "tetrahedra_mm3")
-"""Keys of a row, in the order in which the volumes are made."""
+"""Keys of the volumes of an object or a material, in the order of the stages that compute them."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Surface:
     triangles: Cells
     """Vertex indices, counter-clockwise seen from outside, shape ``(m, 3)``."""
     history: Any
-    """The history that the file carries, or ``None``."""
+    """The history in the file, or ``None``."""
     merged_points: int
-    """Vertices that lay exactly on another one and were joined to it."""
+    """Number of vertices with the same position as another one, which were merged."""
     cap: NDArray[np.bool_] | None = None
-    """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``;
+    """Whether each triangle lies where the border of the volume cuts the object, shape ``(m,)``;
     ``None`` if unknown."""
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
@@ -54,7 +54,7 @@ class Surface:
 
 
 def read_dataset(path: Path) -> pv.DataSet:
-    """Read a file by pyvista, with its complaints as one of our errors.
+    """Read a file with PyVista; convert its exceptions to errors in three parts.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def read_dataset(path: Path) -> pv.DataSet:
 
 
 def history_of(dataset: pv.DataSet) -> Any:
-    """Return the history that a file of this pipeline carries in its field data, or ``None``.
+    """Return the history in the field data of a file, or ``None``.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def history_of(dataset: pv.DataSet) -> Any:
 
 
 def told_volumes(surface: pv.PolyData) -> list[dict[str, Any]]:
-    """Read the rows that ``reconstruct`` leaves in the note of a surface, if any.
+    """Read the volumes that ``reconstruct`` writes into the metadata of a surface, if any.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def told_volumes(surface: pv.PolyData) -> list[dict[str, Any]]:
 
 
 def with_changes(row: dict[str, Any]) -> dict[str, Any]:
-    """Add ``change_percent``: each volume against the first that is known.
+    """Add ``change_percent``: the change of each volume from the first known one, percent.
 
     Parameters
     ----------
     row
-        The volumes of an object or a material, mm^3; ``None`` where one is not known.
+        The volumes of an object or a material, mm^3; ``None`` if unknown.
     """
     known = {key: float(row[key]) for key in COLUMNS if row.get(key) is not None}
     first, *others = known
@@ -123,9 +123,9 @@ def volume_table(told: list[dict[str, Any]], tetrahedra: dict[str, float]) -> li
     Parameters
     ----------
     told
-        Those of :func:`told_volumes`.
+        The rows of :func:`told_volumes`.
     tetrahedra
-        Volume by material, mm^3; the one value of an object whatever its name.
+        Volume of the tetrahedra by material, mm^3. For one object, the name is ignored.
     """
     alone = next(iter(tetrahedra.values())) if len(told) == len(tetrahedra) == 1 else None
     return [with_changes({**row, "tetrahedra_mm3": tetrahedra.get(row["name"], alone)}) for row in told]
@@ -137,13 +137,13 @@ def read_surface(path: Path) -> Surface:
     Parameters
     ----------
     path
-        Anything that pyvista reads as polygons: ``.vtp``, ``.ply``, ``.stl``, ``.obj``, ``.vtk``.
+        A file that PyVista reads as polygons: ``.vtp``, ``.ply``, ``.stl``, ``.obj``, ``.vtk``.
 
     Raises
     ------
     StageError
-        If it is no surface, empty, has other polygons than triangles, or coordinates that are not
-        finite.
+        If the file is not a surface, is empty, or has polygons that are not triangles or
+        coordinates that are not finite.
     """
     dataset, refuse = read_dataset(path), partial(refuse_file, path)
     if not isinstance(dataset, pv.PolyData):
@@ -175,7 +175,7 @@ def read_surface(path: Path) -> Surface:
         )
     cap = np.asarray(dataset.cell_data["cap"]).ravel() != 0 if "cap" in dataset.cell_data else None
     sides = read_sides(path, dataset)
-    # some formats (STL) and programs write a vertex once a triangle
+    # some formats (STL) and programs write a vertex once per triangle
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     merged = len(points) - len(unique)
     if merged:
@@ -185,7 +185,7 @@ def read_surface(path: Path) -> Surface:
         cap = None if cap is None else cap[distinct]
         sides = sides and Sides(sides.inside[distinct], sides.outside[distinct], sides.table)
     if sides is not None:
-        # the tetrahedra keep every vertex, and those of many materials must all be in use
+        # with many materials, the vertices must all be used, because the tetrahedra keep them
         used, local = np.unique(triangles, return_inverse=True)
         points, triangles = points[used], local.reshape(-1, 3).astype(np.int64)
     return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
@@ -206,13 +206,13 @@ def place_of(points: Points, corners: Cells) -> str:
 
 
 def _crossing(surface: Surface, pairs: Cells) -> str:
-    """Write how many triangles cross each other, and where the first is."""
+    """Write how many triangles intersect each other, and where the first is."""
     place = place_of(surface.points, surface.triangles[pairs[0, 0]])
     return f"intersects itself: {len(np.unique(pairs))} triangles in {len(pairs)} pairs, the first near {place}"
 
 
 def _check_object(path: Path, surface: Surface) -> tuple[dict[str, Any], Components]:
-    """Refuse a surface of one object that bounds no volume; count it, and find its components."""
+    """Refuse a surface of one object that bounds no volume; return its measures and components."""
     refuse = partial(refuse_file, path, remedy=_TOOLS)
     topology = _native.surface_topology(len(surface.points), surface.triangles)
     if any(topology[key] for key in NOT_MANIFOLD):
@@ -239,7 +239,7 @@ def _check_object(path: Path, surface: Surface) -> tuple[dict[str, Any], Compone
 
 
 def _check_materials(path: Path, surface: Surface, sides: Sides) -> Shells:
-    """Refuse a surface of many materials that bounds no volumes; return these."""
+    """Refuse a surface of many materials that bounds no volumes; return the volumes."""
     refuse = partial(refuse_file, path, remedy=_TOOLS)
     points, triangles = surface.points, surface.triangles
     found = _native.check_complex(points, triangles, sides.inside, sides.outside, len(sides.table))
@@ -330,22 +330,21 @@ def check_surface(path: Path, surface: Surface) -> tuple[dict[str, Any], Compone
     Returns
     -------
     tuple
-        The measures, and the components of one object or the volumes of many materials. Measures of
-        both are ``merged_points, area_mm2, bounding_box_diagonal_mm`` and ``quality``; of one
-        object ``topology`` and ``volume_mm3``; of many materials ``vertices, triangles``,
-        ``junction_edges`` (edges with other than two triangles), ``junction_vertices`` (where
-        junction edges end, or more than two of them meet), ``edges_by_triangles``,
-        ``vertices_by_materials``, ``rms_turn_degrees`` between the normals of neighbouring
-        triangles of one sheet, ``materials``, each with volume, parts, the smallest angle between
-        two of its facets and the topology of its own closed surface, and ``interfaces``, each pair
-        with area, connected pieces, quality and turn.
+        The measures, and the components of one object or the volumes of many materials. All
+        surfaces have ``merged_points, area_mm2, bounding_box_diagonal_mm`` and ``quality``. One
+        object has ``topology`` and ``volume_mm3``. Many materials have ``vertices``, ``triangles``,
+        ``junction_edges`` (edges that do not have two triangles), ``junction_vertices`` (where one
+        junction edge or more than two end), ``edges_by_triangles``, ``vertices_by_materials``,
+        ``rms_turn_degrees`` (angle between the normals of neighbouring triangles of an interface),
+        ``materials`` (volume, parts, smallest wedge and topology of each) and ``interfaces`` (area,
+        connected pieces, quality and turn of each).
 
     Raises
     ------
     StageError
         If the surface of an object is open, not manifold, inconsistently wound, or inside out; if
         one of many materials has triangles without area or twice, is not closed for each material,
-        or has triangles on the wrong side; if it cuts through itself.
+        or has triangles on the wrong side; if it intersects itself.
     """
     parts: Components | Shells
     quality = triangle_quality(surface.points, surface.triangles)

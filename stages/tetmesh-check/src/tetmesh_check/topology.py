@@ -19,7 +19,7 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
     Parameters
     ----------
     labels
-        Group of each, from 0 on.
+        Group of each member, numbered from 0.
     count
         Number of groups.
     """
@@ -28,7 +28,7 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
 
 
 def pairs_of(inside: Labels, outside: Labels) -> tuple[Cells, Labels]:
-    """Return the different pairs of two labels, ascending, and the pair of each entry.
+    """Return the distinct pairs of labels, ascending, and the index of the pair of each entry.
 
     Parameters
     ----------
@@ -42,8 +42,9 @@ def pairs_of(inside: Labels, outside: Labels) -> tuple[Cells, Labels]:
 class Components(NamedTuple):
     """The components of a closed surface.
 
-    A component that lies in the open, or in a cavity, bounds a body from outside and must have a
-    positive volume; one that lies in a body bounds a cavity and must have a negative one.
+    A component outside all bodies, or in a cavity, is the outer boundary of a body and must have a
+    positive volume. A component inside a body is the boundary of a cavity and must have a negative
+    volume.
     """
 
     labels: Labels
@@ -62,7 +63,7 @@ class Components(NamedTuple):
         return wrong
 
     def sheets(self) -> tuple[Cells, Labels]:
-        """Return the body and the outside (-1) of each component, and each triangle's component."""
+        """Return body and outside (-1) of each component, and the component of each triangle."""
         outer = np.where(self.depths % 2 == 0, np.arange(len(self.depths)), self.parents)
         bodies = np.unique(outer, return_inverse=True)[1].ravel()
         return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
@@ -78,14 +79,14 @@ class Shells(NamedTuple):
     of_inside: Labels
     """Volume behind each triangle, shape ``(m,)``."""
     of_outside: Labels
-    """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each
-    shell of the outside."""
+    """Volume in front of each triangle, shape ``(m,)``. On the outside, this is a negative number,
+    which differs for each shell."""
     mixed: int
     """Number of wedges between sides of different materials. At such an edge, the order of the
     triangles contradicts their materials."""
     narrowest: Values
-    """Smallest wedge of each material, degrees, shape ``(t,)``: no tetrahedron there has a wider
-    smallest dihedral angle."""
+    """Smallest wedge of each material, degrees, shape ``(t,)``. The minimum dihedral angle of a
+    tetrahedron there cannot be larger."""
     inside_out: int
     """Number of cavities that lie in no volume of their material, because their triangles are
     inside out."""
@@ -93,18 +94,18 @@ class Shells(NamedTuple):
     def sheets(self) -> tuple[Cells, Labels]:
         """Return the pairs of volumes that touch, and the pair of each triangle.
 
-        No two volumes or hollows have the same sheets as their boundary.
+        A pair is called a sheet. No two volumes or cavities are bounded by the same sheets.
         """
         return pairs_of(self.of_inside, self.of_outside)
 
 
 class Boundary(NamedTuple):
-    """The outside of a volume mesh."""
+    """The boundary of a volume mesh, and its bodies."""
 
     triangles: Cells
     """Faces of only one tetrahedron, counter-clockwise as seen from outside, shape ``(k, 3)``."""
     owners: Labels
-    """The tetrahedron of each, shape ``(k,)``."""
+    """The tetrahedron of each triangle, shape ``(k,)``."""
     bodies: Labels
     """Body of each tetrahedron, shape ``(m,)``, from 0; a body is connected through faces."""
 

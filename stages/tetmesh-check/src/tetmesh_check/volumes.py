@@ -1,4 +1,4 @@
-"""Volumes of all formats that the stages read, and label volumes among them."""
+"""Reads volumes and label volumes in all formats that the stages read."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from tetmesh_check.quality import Points
 
 @dataclass(frozen=True)
 class InputVolume:
-    """Numbers on a regular grid in the world frame of the meshes."""
+    """Values on a regular grid in the world frame of the meshes."""
 
     values: NDArray[Any]
-    """Numbers in the file's own type, shape ``(nx, ny, nz)``; the first layer where there are
+    """Values in the type of the file, shape ``(nx, ny, nz)``; the first layer if there are
     several."""
     step: Points
-    """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
+    """World vectors from a voxel centre to the next along each grid axis, mm; one per column."""
     origin: Points
     """World position of the centre of voxel (0, 0, 0), mm."""
     anatomical: bool
     """Whether the world is that of the body (left, posterior, superior)."""
     names: dict[int, str] = field(default_factory=dict)
-    """Names of the labels of the first layer, where the file gives them."""
+    """Names of the labels of the first layer, if the file has them."""
     layers: int = 1
     """Number of layers; segments of different layers may overlap."""
 
@@ -46,17 +46,17 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
     path
         NRRD, a segmentation of 3D Slicer, NIfTI, MetaImage, VTK image, or a folder of DICOM slices.
     series
-        Series of a folder that holds several: its description, number or UID.
+        Description, number or UID of the series to read, if the folder contains several.
 
     Returns
     -------
     InputVolume
-        Its numbers, where they lie in the world, and what labels are called.
+        The values, their position in the world, and the names of the labels.
 
     Raises
     ------
     StageError
-        If it cannot be read, or is no volume.
+        If the file cannot be read, or is not a volume.
     """
     found = _native.read_volume(path, series)
     return InputVolume(
@@ -70,7 +70,7 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
 
 
 def read_label_volume(path: Path) -> InputVolume:
-    """Read a label volume: whole numbers, of which 0 is no tissue.
+    """Read a label volume: whole numbers, with 0 for no tissue.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def read_label_volume(path: Path) -> InputVolume:
     Raises
     ------
     StageError
-        If it is no volume of whole numbers, or has several layers.
+        If the volume has values that are not whole numbers, or several layers.
     """
     advice = "give the label volume that the case was made from"
     volume = read_volume(path)

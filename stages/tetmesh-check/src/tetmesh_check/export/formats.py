@@ -1,4 +1,4 @@
-"""The files of each format: binary ones by functions, texts by the templates of this package."""
+"""Writes each export format: binary files with functions, text files with templates."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Writer = Callable[[MarkedMesh, Path], None]
 
 
 def _regions_csv(mesh: MarkedMesh, path: Path) -> None:
-    """The table of regions, a row a region; several labels are separated by spaces."""
+    """Write the table of regions, one row per region; labels are separated by spaces."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, ("region", "name", "material", "labels"), lineterminator="\n")
         writer.writeheader()
@@ -32,14 +32,14 @@ def _regions_csv(mesh: MarkedMesh, path: Path) -> None:
 
 
 def _rows(form: str, *columns: Points | Cells | Labels) -> str:
-    """Numbers as text, a row a line, without the last line break."""
+    """Format rows of numbers, one per line, without a line break at the end."""
     text = StringIO()
     np.savetxt(text, np.column_stack(columns), form)
     return text.getvalue().removesuffix("\n")
 
 
 def _members(members: Labels) -> str:
-    """Numbers of the members of a set, sixteen a line as Abaqus allows."""
+    """Format the numbers of the members of a set, sixteen per line, the maximum of Abaqus."""
     numbers = (members + 1).tolist()
     return ",\n".join(", ".join(map(str, numbers[at : at + 16])) for at in range(0, len(numbers), 16))
 
@@ -50,7 +50,7 @@ _ABAQUS_FACE = np.array([3, 4, 2, 1])
 
 
 def _element_faces(mesh: MarkedMesh, triangles: Labels) -> Cells:
-    """Elements behind triangles, and the number of their face there, as Abaqus counts."""
+    """Return the element behind each triangle, and the number of its face in Abaqus."""
     owners = mesh.owners[triangles]
     away = (mesh.tetrahedra[owners][:, :, None] != mesh.boundary[triangles][:, None, :]).all(axis=2)
     return np.column_stack([owners + 1, _ABAQUS_FACE[away.argmax(axis=1)]])
@@ -75,9 +75,9 @@ def _texts(*templates: str) -> dict[str, Writer]:
 
 
 def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
-    """The numbers of an XDMF file.
+    """Return the arrays of an XDMF file by name.
 
-    The boundary uses the points of the elements: FEniCS reads the triangles as tags of facets.
+    The boundary uses the points of the volume: FEniCS reads the triangles as tags of facets.
     """
     if stem != "volume":
         return {"triangles": mesh.faces, "mark" if mesh.materials is None else "pair": mesh.marks}
@@ -107,9 +107,9 @@ _WRITE: dict[str, dict[str, Writer]] = {
         "volume.mesh-complete.exterior.vtp": write_simvascular_boundary,
     },
 }
-"""The files of each format but XDMF, ``NAME.`` before each, and what writes them; the table of
-regions comes with each. All but the boundary begin with ``volume``, by which the rest of the
-project knows them as results of this stage."""
+"""For each format except XDMF, the files (without ``NAME.``) and the functions that write them. The
+table of regions is added to each format. ``pipelines/case/src/folder.rs`` recognizes the results of
+this stage by the beginnings ``volume`` and ``boundary``."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
@@ -118,14 +118,14 @@ def _files(name: str, kind: str, many: bool) -> dict[str, Writer]:
     written = dict(_WRITE.get(kind, {}))
     if kind == "xdmf":
         for stem in ("volume", f"volume.{'interfaces' if many else 'boundary'}"):
-            # FEniCS opens the HDF5 file with the name of the description
+            # FEniCS opens the HDF5 file that has the name of the XDMF file
             written[f"{stem}.h5"] = partial(_numbers, stem=stem)
             written[f"{stem}.xdmf"] = partial(_description, stem=stem, name=name)
     return written | {"volume.regions.csv": _regions_csv}
 
 
 def export_paths(output: Path, name: str, kinds: tuple[str, ...], many: bool = False) -> list[Path]:
-    """Files of some formats, beside the volume mesh, each once.
+    """Return the files of some formats, without duplicates, in the folder of the volume mesh.
 
     Parameters
     ----------
@@ -143,20 +143,20 @@ def export_paths(output: Path, name: str, kinds: tuple[str, ...], many: bool = F
 
 
 def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm") -> None:
-    """Write the mesh for another program, each file whole or not at all.
+    """Write the mesh in one format. Each file is written atomically.
 
     Parameters
     ----------
     mesh
         The tetrahedra.
     output
-        The volume mesh; the files lie beside it.
+        The volume mesh; the files are written to its folder.
     name
         Name of the case.
     kind
         One of :data:`.FORMATS`.
     unit
-        One of :data:`.UNITS`, that of the coordinates; openCARP has micrometres whatever it is.
+        Unit of the coordinates: ``mm``, ``m`` or ``um``. openCARP files are always in micrometres.
     """
     scale = _PER_MM["um" if kind == "carp" else unit]
     scaled = mesh if scale == 1.0 else replace(mesh, points=mesh.points * scale)

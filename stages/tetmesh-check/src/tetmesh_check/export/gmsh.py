@@ -1,7 +1,7 @@
-"""Gmsh 4.1 and 2.2, and MED (Salome, Code_Aster): regions and parts of the boundary as groups.
+"""Writes Gmsh 4.1 and 2.2, and MED, with regions and parts of the boundary as groups.
 
-meshio writes all but 4.1. There, it leaves out an entity all of whose nodes belong to another, and
-Gmsh refuses such a file.
+meshio writes 2.2 and MED (Salome, Code_Aster). It is not used for 4.1: it omits an entity if all
+its nodes belong to other entities, and Gmsh refuses such a file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tetmesh_check.export.mesh import MarkedMesh, NamedSet
 from tetmesh_check.quality import Cells, Labels
 
 _KIND = {3: 2, 6: 9, 4: 4, 10: 11}
-"""Gmsh's number of a triangle or tetrahedron, by its nodes."""
+"""Gmsh's number of a triangle or tetrahedron, by its number of nodes."""
 _GMSH_NODES = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 """Nodes of a tetrahedron in the order of Gmsh, which exchanges the last two nodes of VTK."""
 _MED_NODES = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
@@ -26,12 +26,12 @@ other way, and the nodes on the edges follow."""
 
 
 def _numbered(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
-    """Regions and parts with the numbers of their groups.
+    """Return the regions and the parts with the numbers of their groups.
 
-    Gmsh leaves out groups of a number below 1. Such a region has a number above all regions, and
-    its name tells its label. The parts have numbers above those of the regions, because GetDP does
-    not tell a region from a surface of its number: to each mark is added the first power of ten
-    above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
+    Gmsh omits groups with a number below 1. Such a region gets a number above those of all regions;
+    its name contains its label. GetDP does not distinguish a region from a surface with the same
+    number. So the number of a part is its mark plus the first power of ten above all regions: with
+    only region 1, ``surface`` is 11 and ``cap`` is 12.
     """
     regions, parts = mesh.region_sets, mesh.part_sets
     free = count(1 + max([0, *(own.number for own in regions)]))
@@ -51,7 +51,7 @@ def _numbers(sets: list[NamedSet], size: int) -> Labels:
 def _meshio(
     mesh: MarkedMesh, elements: Cells, regions: list[NamedSet], parts: list[NamedSet], tags: list[str]
 ) -> meshio.Mesh:
-    """Return elements and boundary with the numbers of their sets, by one or more names."""
+    """Return elements and boundary, with the numbers of their sets under each tag."""
     kinds = ("tetra10", "triangle6") if mesh.is_quadratic else ("tetra", "triangle")
     cells = list(zip(kinds, (elements, mesh.faces), strict=True))
     numbers = [_numbers(regions, len(elements)), _numbers(parts, len(mesh.faces))]
@@ -59,7 +59,7 @@ def _meshio(
 
 
 def write_med(mesh: MarkedMesh, path: Path) -> None:
-    """Write elements and boundary as groups of the names that sets have in other formats.
+    """Write elements and boundary as groups. Sets have the same names in other formats.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    # families of elements have numbers below 0, each with the names of its groups
+    # in MED, a family of elements has a negative number, and the names of its groups
     families = count(-1, -1)
     regions, parts = (
         [own._replace(number=next(families)) for own in sets] for sets in (mesh.region_sets, mesh.part_sets)
@@ -76,12 +76,12 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     elements = mesh.elements[:, _MED_NODES[: mesh.elements.shape[1]]]
     made = _meshio(mesh, elements, regions, parts, ["cell_tags"])
     made.cell_tags = {own.number: [own.name] for own in (*regions, *parts)}
-    # by the name of the format, because a file that is being written has another ending
+    # meshio would otherwise choose the format by the name of the file
     meshio.write(path, made, file_format="med")
 
 
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
-    """Write version 2.2 as text, which more programs read than 4.1.
+    """Write version 2.2, as text. More programs read it than 4.1.
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
 def write_msh(mesh: MarkedMesh, path: Path) -> None:
     """Write version 4.1, binary: an entity and a group for each region and boundary part.
 
-    The entities have no bounding entities. The nodes are numbered from 1 as the points are, each
-    with the first entity that has it.
+    The entities have no bounding entities. Nodes are numbered like the points, from 1. Each one is
+    listed with the first entity that uses it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The tetrahedra to be written: their boundary, marks and names, whatever the format."""
+"""The mesh that is written in all formats: tetrahedra, boundary, marks and names."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.topology import Boundary
 
 _RESERVED = ("volume", "nodes", "all")
-"""Names of sets that no region may have: all elements in ``inp``, all nodes in ``feb``, everything
-in the viewer of CalculiX."""
+"""Names that no region may have. They are sets of all elements in ``inp``, of all nodes in ``feb``,
+and of everything in the viewer of CalculiX."""
 _LONGEST_NAME = 80
-"""Characters of the name of a set in CalculiX and of a group in MED."""
+"""Maximum number of characters in the name of a set in CalculiX and of a group in MED."""
 
 
 def plain_names(names: list[str], taken: Iterable[str] = ()) -> list[str]:
-    """Rewrite names with letters, digits and underscores; all differ, ignoring case.
+    """Convert names to letters, digits and underscores. All results differ, even ignoring case.
 
     Parameters
     ----------
     names
         Any names.
     taken
-        Names that none of them may have, besides those that formats reserve.
+        Names that are not available, besides those that formats reserve.
     """
     used = {name.lower() for name in (*_RESERVED, *taken)}
     plain: list[str] = []
@@ -72,18 +72,18 @@ class MarkedMesh:
     elements: Cells
     """Nodes of the tetrahedra in VTK order, shape ``(m, 4)``, or ``(m, 10)`` for quadratic ones."""
     regions: Labels
-    """Region of each tetrahedron, shape ``(m,)``: its label, all 1 where no label volume is given,
-    or the number of its material."""
+    """Region of each tetrahedron, shape ``(m,)``: its label, 1 without a label volume, or the
+    number of its material."""
     faces: Cells
-    """Nodes of the triangles of the boundary, outward, shape ``(k, 3)`` or ``(k, 6)``. Of many
-    materials those of all interfaces."""
+    """Nodes of the triangles of the boundary, outward, shape ``(k, 3)`` or ``(k, 6)``. With many
+    materials, the triangles of all interfaces."""
     owners: Labels
     """Tetrahedron behind each triangle, shape ``(k,)``."""
     before: Labels
-    """Tetrahedron before each triangle, shape ``(k,)``; :data:`.NOBODY` where the outside is."""
+    """Tetrahedron in front of each triangle, shape ``(k,)``; :data:`.NOBODY` for the outside."""
     marks: Labels
-    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair,
-    from 1 on."""
+    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. With many materials, the number of the
+    interface, from 1."""
     table: list[dict[str, Any]]
     """A row for each region, ascending by number: ``region`` (the number), ``name`` (in sets and
     groups), ``material`` (its name in the volume), and ``labels`` (in the volume, if known)."""
@@ -124,13 +124,14 @@ class MarkedMesh:
         return alone
 
     def region_text(self) -> str:
-        """The table of regions as JSON."""
+        """Return the table of regions as JSON."""
         return json.dumps(self.table)
 
     def point_marks(self) -> Labels:
-        """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
+        """Return the mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
 
-        Of many materials it is :data:`.SURFACE` on the boundary of the whole.
+        A point with triangles of both marks has :data:`.SURFACE`. With many materials, all points
+        on the boundary of the whole mesh have it.
         """
         marks = np.zeros(len(self.points), dtype=np.int64)
         is_cap = (self.marks == CAP) if self.materials is None else np.zeros(len(self.marks), dtype=bool)
@@ -160,8 +161,7 @@ def object_mesh(
     marks
         :data:`.SURFACE` or :data:`.CAP` for each triangle.
     labels
-        Labels of the one region of an object, empty where they are not known; ``None`` where the
-        regions are labels.
+        Labels of the single region, empty if unknown; ``None`` if the regions are labels.
     """
     numbers = np.unique(regions).tolist()
     names = [f"region_{number}".replace("-", "minus_") for number in numbers]

@@ -1,4 +1,4 @@
-"""The files of VTK: the volume mesh itself, and exports."""
+"""Writes VTK files: the volume mesh, and exports."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tetmesh_check.materials import NOTHING
 from tetmesh_check.quality import Labels, Values
 
 _MEASURES = ("radius_ratio", "scaled_jacobian", "min_dihedral", "jacobian_bound")
-"""The measures of the elements that the volume mesh has as cell data, angles in degrees."""
+"""Measures that the volume mesh has as cell data. Angles are in degrees."""
 _FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
@@ -30,7 +30,7 @@ def _grid(mesh: MarkedMesh) -> pv.UnstructuredGrid:
 
 
 def _surface(mesh: MarkedMesh, triangles: Labels | slice) -> tuple[pv.PolyData, Labels]:
-    """Triangles of the boundary, and the numbers of their points in the mesh."""
+    """Return triangles of the boundary, and the indices of their points in the mesh."""
     used, local = np.unique(mesh.boundary[triangles], return_inverse=True)
     return to_polydata(mesh.points[used], local.reshape(-1, 3)), used
 
@@ -43,8 +43,8 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     path
         A ``.vtu`` file.
     mesh
-        Its points are written in double precision, the regions of its elements and the marks of its
-        points as data; the table of many materials as a text, ``materials``.
+        The mesh. Points are written in double precision, regions as cell data, and marks of points
+        as point data. The table of many materials is the text ``materials``.
     measures
         Measures of the elements by name: those of :class:`.TetrahedronQuality`, or
         ``jacobian_bound``, the lower bound of each quadratic element's Jacobian over that of the
@@ -78,7 +78,7 @@ def _save(writer: Any, grid: pv.UnstructuredGrid, path: Path) -> None:
 
 
 def write_legacy(mesh: MarkedMesh, path: Path) -> None:
-    """Write legacy VTK 4.2, binary, with ``region`` of cells and ``boundary`` of points."""
+    """Write legacy VTK 4.2, binary, with cell data ``region`` and point data ``boundary``."""
     grid = _grid(mesh)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
@@ -90,7 +90,7 @@ def write_legacy(mesh: MarkedMesh, path: Path) -> None:
 
 
 def write_simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
-    """Write SimVascular's mesh-complete.mesh.vtu: numbers from 1, and regions of elements."""
+    """Write SimVascular's mesh-complete.mesh.vtu, with numbers from 1 and regions."""
     grid = _grid(mesh)
     grid.point_data["GlobalNodeID"] = np.arange(1, len(mesh.points) + 1, dtype=np.int32)
     grid.cell_data["GlobalElementID"] = np.arange(1, len(mesh.elements) + 1, dtype=np.int32)
@@ -112,8 +112,8 @@ def write_simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
 def write_boundary(mesh: MarkedMesh, path: Path) -> None:
     """Write the boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` and ``point``.
 
-    Of many materials all interfaces: ``region`` is that behind the triangle, ``region_before`` the
-    other.
+    With many materials, all interfaces are written: ``region`` is the material behind the triangle,
+    and ``region_before`` that in front of it.
     """
     surface, used = _surface(mesh, slice(None))
     surface.cell_data["mark"] = mesh.marks

@@ -1,4 +1,4 @@
-"""The problem of a current that arises in one of many materials: options and description."""
+"""The problem of a current source in one of many materials: options and description."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tetmesh_check.quality import Cells
 
 @dataclass(frozen=True)
 class ForwardArguments:
-    """The options of the problem of currents, by the names of materials."""
+    """The options of the problem of currents. Materials are given by name."""
 
     conductivity: Mapping[str, float] = field(default_factory=dict)
-    """S/m."""
+    """Conductivity by material, S/m."""
     source: str | None = None
-    """The material in which the current flows; without one nothing is solved."""
+    """The material of the current source. Without one, the problem is not solved."""
     density: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """Impressed current, uA/mm^2."""
+    """Density of the impressed current, uA/mm^2."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Forward:
 
     arguments: ForwardArguments
     sides: Sides
-    """The materials, and those on both sides of each triangle."""
+    """The materials on both sides of each triangle."""
     triangles: Cells
     """Triangles between two materials, shape ``(k, 3)``."""
     found: Conformity
@@ -36,7 +36,7 @@ class Forward:
 
 
 def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
-    """Refuse names that no material has, and a conductivity without a source.
+    """Refuse unknown names of materials, and a conductivity without a source.
 
     Parameters
     ----------
@@ -48,7 +48,8 @@ def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
     Raises
     ------
     StageError
-        If there is no material of such a name, one object only, or a conductivity without a source.
+        If there is no material with such a name, if there is only one object, or if a conductivity
+        is given without a source.
     """
     given = [*arguments.conductivity, *([] if arguments.source is None else [arguments.source])]
     if given and not names:

@@ -1,12 +1,13 @@
 """The potential of a current in one material: the forward problem of electrocardiography.
 
-A density J of impressed current flows in one material, as that of an excited heart, and every
-material conducts with a constant sigma of its own: div(J - sigma grad u) = 0, with no current
-through the boundary of the whole (Gulrajani, "Bioelectricity and Biomagnetism", 1998, chapter 5).
-What leaves a material must enter its neighbours. The current through a part of the surface of a
-material is taken as the finite elements have it, from the equations of the vertices there: the sum
-over all of them is zero but for the error of the solver, on any mesh. The currents on both sides of
-a triangle, from the gradients alone, differ by the error of the elements, which falls with h.
+One material, such as the excited heart, has an impressed current with the density J. Each material
+has a constant conductivity sigma. The potential u satisfies div(J - sigma grad u) = 0, with no
+current through the outer boundary (Gulrajani, "Bioelectricity and Biomagnetism", 1998, chapter 5).
+
+The current that leaves a material must enter its neighbours. The currents through the surface of a
+material are computed from the finite-element equations of the vertices there. On any mesh, their
+sum is zero except for the error of the solver. The current densities on both sides of a triangle,
+computed from the gradients, differ by the discretization error, which decreases with h.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def potential_of(
     Returns
     -------
     tuple
-        Potential at the points, mV, with mean zero over the volume of every part that hangs
-        together, shape ``(n,)``; current density in the tetrahedra, uA/mm^2, shape
-        ``(3, m, 1)``; and figures of the solver.
+        Potential at the points, mV, shape ``(n,)``, with mean zero over each connected part of the
+        mesh; current density in the tetrahedra, uA/mm^2, shape ``(3, m, 1)``; and results of the
+        solver.
     """
     # S/m times mV/mm is uA/mm^2
     matrix = _CONDUCTION.assemble(basis, sigma=sigma[:, None])
@@ -66,7 +67,7 @@ def potential_of(
 
 
 def _crossing(basis: Basis, current: Values, problem: Forward) -> Any:
-    """Currents from each material into the vertices of its surface, uA, one row a material."""
+    """Return currents, uA, from each material (row) into the vertices of its surface (column)."""
     sides, regions, triangles = problem.sides, problem.found.regions, problem.triangles
     shape = (len(sides.table), basis.N)
     shares = _FLOW.elemental(basis, current=current).tolocal()
@@ -79,7 +80,7 @@ def _crossing(basis: Basis, current: Values, problem: Forward) -> Any:
 def _regions(
     basis: Basis, conductivity: Values, potential: Values, current: Values, problem: Forward
 ) -> list[dict[str, Any]]:
-    """Currents through the surface of each material, and the potential in it."""
+    """Return the currents through the surface of each material, and the potential in it."""
     tetrahedra, regions = basis.mesh.t.T, problem.found.regions
     crossing = _crossing(basis, current, problem)
     passing, net = abs(crossing).sum(axis=1), crossing.sum(axis=1)
@@ -101,7 +102,7 @@ def _regions(
 
 
 def _interfaces(basis: Basis, current: Values, problem: Forward) -> list[dict[str, Any]]:
-    """Currents through each interface, from the densities on both of its sides."""
+    """Return the current through each interface, from the densities on both of its sides."""
     sides, found = problem.sides, problem.found
     a, b, c = (basis.mesh.p[:, problem.triangles[:, k]] for k in range(3))
     areas = 0.5 * np.cross(b - a, c - a, axis=0)
@@ -119,7 +120,7 @@ def _interfaces(basis: Basis, current: Values, problem: Forward) -> list[dict[st
 
 
 def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
-    """Solve for the potential, and follow the current.
+    """Solve for the potential, and measure the currents between materials.
 
     Parameters
     ----------
@@ -133,10 +134,10 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        Figures. ``imbalance`` is the largest net current through the closed surface of a material
-        over the current that passes there; ``interfaces`` has for each pair the net current from
-        the inside to the outside, what passes either way, and ``jump_ua``, the difference between
-        both sides summed over the triangles.
+        Results. ``imbalance`` is the maximum net current through the closed surface of a material,
+        relative to the maximum current that passes such a surface. ``interfaces`` has, for each
+        interface, the net current from inside to outside, the sum of the currents in both
+        directions, and ``jump_ua``: the difference between both sides, summed over the triangles.
     """
     arguments, regions, names = problem.arguments, problem.found.regions, problem.sides.names
     basis = linear_elements(mesh)
@@ -145,8 +146,7 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
     impressed = np.multiply.outer(arguments.density, in_source[:, None])
     potential, current, figures = potential_of(basis, conductivity[regions], impressed, deadline)
     listed = _regions(basis, conductivity, potential, current, problem)
-    # a material in which nothing flows has nothing to lose: what passes the source is the scale of
-    # all
+    # in some materials, hardly any current flows; the maximum is the scale for all of them
     scale = max(entry["passing_ua"] for entry in listed)
     return {
         **figures,

@@ -1,9 +1,9 @@
 """Three test problems with linear elements.
 
-Poisson's equation with a known solution says whether the mesh approximates as it should; linear
+Poisson's equation with a known solution shows whether the mesh approximates it as expected. Linear
 elasticity and the conduction of currents in anisotropic tissue (the elliptic half of the bidomain
-equations, Keener and Sneyd, "Mathematical Physiology", 2009, chapter 12) say whether a solver has
-an easy time with it.
+equations, Keener and Sneyd, "Mathematical Physiology", 2009, chapter 12) show whether a solver
+converges fast on the mesh.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from tetmesh_check.fem.solver import rigid_motions, solve, solve_floating
 from tetmesh_check.quality import Cells, Labels, Values
 
 DATA_ORDER = 3
-"""Order of quadrature of loads."""
+"""Quadrature order of loads."""
 ERROR_ORDER = 4
-"""Order of quadrature of squared errors: that of linear elements is a square of quadratic
-polynomials, to first order."""
+"""Quadrature order of squared errors. To leading order, the error of linear elements is a quadratic
+polynomial."""
 YOUNG = 0.01
 """Young's modulus, N/mm^2 (10 kPa, soft tissue)."""
 POISSON_RATIO = 0.4
 WEIGHT = 1060.0e-9 * 9.81
 """Weight of muscle, N/mm^3."""
 LINEAR_SHARE = 0.01
-"""Displacement over the diagonal of the bounding box up to which linear elasticity is trusted:
-rotations that it leaves out are of second order, 1e-4 here."""
+"""Maximum displacement for linear elasticity, relative to the diagonal of the bounding box. The
+rotations that it neglects are of second order, here 1e-4."""
 CLAMPED_SHARE = 0.1
-"""Share of the length of each body that is held."""
+"""Share of the length of each body that is clamped."""
 _SIDES = tuple((axis, sign) for axis in range(3) for sign in (1.0, -1.0))
 CONDUCTIVITY = {"intracellular": (0.174, 0.0193), "extracellular": (0.625, 0.236)}
 """Along and across the fibres, S/m (Roth 1997, after Clerc 1976)."""
@@ -66,9 +66,9 @@ class _Wave:
         return 3.0 * self.wave_number**2 * self.value(x)
 
     def errors(self, mesh: MeshTet, fields: list[Values]) -> Values:
-        """L2 norms of the errors of each field and of its gradient, shape ``(len(fields), 2)``.
+        """Return the L2 norms of the errors of each field and its gradient, ``(len(fields), 2)``.
 
-        A short pass, that goes on when time is over: what it judges was computed in time.
+        This is short, so the time limit does not apply.
         """
         squares = np.zeros((len(fields), 2))
         for points, basis in in_blocks(mesh, ERROR_ORDER):
@@ -82,7 +82,7 @@ class _Wave:
 
 
 def poisson(mesh: MeshTet, outside: Cells, deadline: float) -> dict[str, Any]:
-    """Solve Poisson's equation whose exact solution is known, with that solution on the boundary.
+    """Solve Poisson's equation with a known solution, which is given on the boundary.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def poisson(mesh: MeshTet, outside: Cells, deadline: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        Figures. ``best_approximation`` is the error of the gradient over that of the interpolated
-        exact solution: at most 1 on any mesh by Cea's lemma, but for the quadrature of the load, so
-        that it says whether the solution is right and nothing about the mesh.
+        Results. ``best_approximation`` is the error of the gradient over that of the interpolated
+        exact solution. By Cea's lemma, it is at most 1 on any mesh, except for the quadrature of
+        the load. It checks the solution, not the mesh.
     """
     wave = _Wave(mesh.p)
     exact = wave.value(mesh.p)
@@ -130,11 +130,11 @@ def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: 
     tetrahedra
         Vertex indices, shape ``(m, 4)``.
     heights
-        Of every point, mm, shape ``(n,)``.
+        Height of each point, mm, shape ``(n,)``.
     bodies
         Body of each tetrahedron, shape ``(m,)``, numbered from 0.
     share
-        Tetrahedra with a vertex in this share of the height of their body are held.
+        Tetrahedra with a vertex in this share of the height of their body are marked.
     """
     lowest, every = heights[tetrahedra].min(axis=1), np.arange(bodies.max() + 1)
     low = ndimage.minimum(lowest, bodies, every)
@@ -144,21 +144,21 @@ def held_at_one_side(tetrahedra: Cells, heights: Values, bodies: Labels, share: 
 
 
 def elasticity(mesh: MeshTet, bodies: Labels, deadline: float) -> dict[str, Any]:
-    """Clamp the organ at one side and pull it by a share of its own weight.
+    """Clamp the organ at one side and load it with a share of its own weight.
 
-    In the body an organ is carried by what surrounds it. Held at one side alone, soft tissue would
-    sag by more than its own size, of which linear theory knows nothing. The solution is
-    proportional to the load, hence ``load_share`` of the weight is what moves it by
-    :data:`LINEAR_SHARE` of its size (all of it, where that moves it less), and displacement,
-    energy, work and reaction are those of this load.
+    In the body, an organ is supported by its surroundings. Clamped at one side only, soft tissue
+    would sag by more than its own size, where linear elasticity does not hold. The solution is
+    proportional to the load. So the load is the share ``load_share`` of the weight, at most 1, that
+    moves the organ by :data:`LINEAR_SHARE` of its size. Displacement, energy, work and reaction are
+    those of this load.
 
     Parameters
     ----------
     mesh
         The tetrahedra.
     bodies
-        Body of each tetrahedron, shape ``(m,)``; every body is clamped, all at the same one of the
-        six sides along the axes: the one where most of the matter is held.
+        Body of each tetrahedron, shape ``(m,)``. All bodies are clamped at the same of the six
+        sides along the axes: the one with the largest clamped volume.
     deadline
         Time limit by the monotonic clock, s.
     """
@@ -205,7 +205,7 @@ def elasticity(mesh: MeshTet, bodies: Labels, deadline: float) -> dict[str, Any]
 
 
 def _fibres(x: Any, centre: Values, along: Values, radius: float) -> Any:
-    """Unit fibre directions: helices from +60 degrees at the axis to -60 outside."""
+    """Return unit fibre directions: helices from +60 degrees at the axis to -60 outside."""
     out = np.moveaxis(x, 0, -1) - centre
     out -= (out @ along)[..., None] * along
     distance = np.linalg.norm(out, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Which problems are solved on the mesh, within which bounds, and what that says about it."""
+"""Solves the test problems on the mesh within a time limit, and checks the results."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from tetmesh_check.quality import Cells, Points, Values
 from tetmesh_check.topology import Boundary
 
 AUTO_MAX_TETRAHEDRA = 150_000
-"""Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
+"""Maximum number of tetrahedra on which problems are solved by default. This takes at most about
+half a minute and 1 GB."""
 MAX_IMBALANCE = 1e-6
-"""Largest share of the current through the surface of a material that may be lost or gained
-there."""
+"""Maximum net current through the surface of a material, relative to the maximum current that
+passes such a surface."""
 _PACKAGES = {"skfem": "scikit-fem", "pyamg": "PyAMG"}
 """The packages of the extra ``fem``, by their modules."""
 _INSTALL = "python -m pip install scikit-fem pyamg"
@@ -38,7 +39,7 @@ class VolumeMesh:
     volumes: Values
     """Volume of each tetrahedron, mm^3, shape ``(m,)``."""
     boundary: Boundary
-    """Its outside, and its bodies."""
+    """Its boundary, and its bodies."""
 
 
 def _missing() -> str:
@@ -64,7 +65,7 @@ def refuse_missing(mode: str, source: str | None) -> None:
 
 
 def _why_not(mesh: VolumeMesh, mode: str) -> str | None:
-    """Why nothing is solved, or ``None``."""
+    """Return the reason why no problem is solved, or ``None``."""
     if mode == "no":
         return "--solve no was given"
     if not (mesh.volumes > 0).all():
@@ -116,7 +117,7 @@ def solve_on(
     Returns
     -------
     list of Check
-        Empty if nothing was solved: no check has passed then.
+        The checks of the solved problems; empty if there are none.
     """
     results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, mode)}
     context.results["solve"] = results

@@ -1,7 +1,7 @@
 """Conjugate gradients of SciPy, with the algebraic multigrid of PyAMG as their preconditioner.
 
-Smoothed aggregation (Vanek, Mandel and Brezina 1996) keeps on its coarse levels what costs a matrix
-little energy: constants for a potential, rigid motions for displacements.
+The coarse levels of smoothed aggregation (Vanek, Mandel and Brezina 1996) represent the vectors of
+low energy: constants for a potential, rigid motions for displacements.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tetmesh_check.quality import Labels, Points, Values
 
 TOLERANCE = 1e-10
 """Norm of the residual over that of the right-hand side. The residual of a few flat tetrahedra can
-dominate this norm, so it is smaller than the error of 1e-8 that the solution needs."""
+dominate this norm, so the tolerance is smaller than the error of 1e-8 that the solution needs."""
 MAX_ITERATIONS = 500
 """Maximum iterations of conjugate gradients. A good mesh takes 10 to 50."""
 STRENGTH = 0.03
@@ -27,9 +27,9 @@ STRENGTH = 0.03
 unknowns to an aggregate. Elasticity of a heart (568,806 unknowns): 37 iterations with 0, 24 with
 0.03, 26 with 0.05."""
 COARSEST = 300
-"""Unknowns below which a level is solved directly; PyAMG's own default is 10 for one field."""
+"""Maximum number of unknowns of a level that is solved directly. PyAMG's default is 10."""
 _SEED = 1
-"""PyAMG estimates spectral radii from random vectors."""
+"""Seed of the random vectors from which PyAMG estimates spectral radii."""
 
 
 def rigid_motions(points: Points) -> Values:
@@ -46,7 +46,7 @@ def rigid_motions(points: Points) -> Values:
 
 
 def multigrid(matrix: Any, near_null: Values | None = None) -> Any:
-    """Set up a V-cycle with symmetric Gauss-Seidel sweeps by blocks, PyAMG's own choice.
+    """Set up a V-cycle with symmetric block Gauss-Seidel sweeps, PyAMG's default.
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ def solve(
     near_null
         See :func:`multigrid`.
     grounded
-        Matrix to set up multigrid with instead, if that of the system is singular.
+        Matrix for the set-up of multigrid, if that of the system is singular.
 
     Returns
     -------
     tuple
-        Solution and figures. Those of the iteration, such as whether it converged, are listed as
-        ``multigrid``.
+        The solution, and results for the report. ``multigrid`` has those of the iteration, such as
+        whether it converged.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def solve(
 
     _check_time(deadline)
     started = time.monotonic()
-    # a mesh of one layer has no interior points
+    # a mesh with one layer of tetrahedra may have no interior points, so no unknowns
     cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else None
     set_up = time.monotonic() - started
     with np.errstate(all="ignore"):
@@ -133,13 +133,13 @@ def solve(
 
 
 def solve_floating(matrix: Any, right_side: Values, deadline: float) -> tuple[Values, Labels, dict[str, Any]]:
-    """Solve a system whose matrix is singular once for each connected part of the mesh.
+    """Solve a system that leaves a constant free in each connected part of the mesh.
 
-    Returns the solution, the part of each unknown, and figures as :func:`solve`.
+    Returns the solution, the part of each unknown, and results as :func:`solve`.
     """
     parts, part = connected_components(matrix, directed=False)
-    # On a coarse level, a small part is one unknown, whose entry would be rounding errors instead
-    # of zero. So multigrid grounds one point of each part.
+    # On a coarse level, a small part is a single unknown with a diagonal entry of zero, or of
+    # rounding errors. So the matrix for multigrid grounds one point of each part.
     first = np.unique(part, return_index=True)[1]
     leak = np.zeros(len(right_side))
     leak[first] = matrix.diagonal()[first]

@@ -21,22 +21,22 @@ PALETTE = [
     "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7", "#8700f0", "#b4e196", "#695a2d",
     "#9678ff", "#ff005a", "#3cf0d2", "#963c78", "#5a4bc3", "#c3a54b", "#ff7896", "#96e1ff", "#a50096", "#7896f0",
 ]  # fmt: skip
-"""Okabe and Ito's seven colours (2008), and 13 more, each the farthest from those before it.
+"""Okabe and Ito's seven colours (2008), and 13 more, each as far as possible from those before.
 
-Distances are those of CIELAB for normal vision, protanopia, deuteranopia and tritanopia (Machado et
-al. 2009), of which the smallest counts: 16.0 among the first seven, 13.9 among all.
-``tests/test_colours.py`` measures them."""
+The distance of two colours is the minimum of their CIELAB distances for normal vision, protanopia,
+deuteranopia and tritanopia (Machado et al. 2009). The minimum distance is 16.0 among the first
+seven colours and 13.9 among all (``tests/test_colours.py``)."""
 _MUTED = 3
-"""Labels that were not meshed keep this fraction of their colour's difference from dark grey:
-1/3."""
+"""For labels that were not meshed, the difference between their colour and dark grey is divided by
+this number."""
 _GREY = 48
 
 
 def material_colours(count: int, sides: ArrayLike = ()) -> NDArray[np.uint8]:
     """Return the colours of materials by number, bytes, shape ``(count, 3)``.
 
-    All colours differ. More materials than :data:`PALETTE` has colours share them with changes that
-    the eye does not see, but neighbours get different ones as far as possible.
+    All colours differ. If there are more materials than colours in :data:`PALETTE`, colours repeat
+    with changes that are not visible. Materials that touch get different colours if possible.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _labels(entries: Any) -> tuple[int, ...]:
 
 
 def key_of(case: Case, scan: Scan | None, surface: pv.PolyData | None) -> list[Entry]:
-    """Return the materials by number, then other labels; empty for a scan.
+    """Return the materials by number, then the other labels; empty for a scan.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Draws the pictures of a result.
 
-``python -m tetmesh_check.report.pictures SURFACE VOLUME KIND=FILE...`` writes the kinds that it
-drew to the standard output, one a line.
+``python -m tetmesh_check.report.pictures SURFACE VOLUME KIND=FILE...`` prints the kinds that it
+drew, one per line.
 """
 
 from __future__ import annotations
@@ -25,25 +25,24 @@ from tetmesh_check.report.rendering import use_renderer
 
 _WIDTH, _HEIGHT = 1600, 1200
 _STRIP = 170
-"""Height below a mesh for the colour bar or the names of materials, pixels."""
+"""Height of the strip below a mesh with the colour bar or the names of materials, pixels."""
 MESH_SHARE = 1 - _STRIP / _HEIGHT
-"""Share of the height of a picture above the strip."""
+"""Share of the height of a picture that is above the strip."""
 _INK = "#7d858e"
-"""Colour of words: legible on white and on black, because what is round the mesh is transparent."""
+"""Colour of text. It is legible on white and on black, because the background is transparent."""
 _LETTERING = 40
-"""Font size in the strip, pixels: 14 on a page that shows the picture 550 pixels wide."""
+"""Font size in the strip, pixels. On a page that shows the picture 550 pixels wide, it is 14."""
 _SPREAD = 1.0
-"""Percentile at the lower end of the colours: the few worst do not decide what all others look
-like."""
+"""Percentile at the lower end of the colour bar, so that a few poor cells do not set its range."""
 _TOWARDS_EYE, _UP = np.array([0.55, -0.75, 0.37]), np.array([0.0, 0.0, 1.0])
 _CLOSEUP_EDGES = 22.0
-"""Height of the close-up in local edge lengths."""
+"""Height of the close-up, relative to the local edge length."""
 _LEGEND, _LETTERS = 8, 18
-"""Materials that the legend names at most, in rows of three, and letters of a name."""
+"""Maximum number of materials in the legend, which has rows of three, and of letters in a name."""
 
 
 def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
-    """Cut across the shortest side of the object, at the median of the tetrahedra.
+    """Cut the mesh across its shortest side, at the median of the centroids.
 
     Parameters
     ----------
@@ -62,12 +61,12 @@ def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
     up = np.array([0.0, 1.0, 0.0]) if axis == 2 else np.array([0.0, 0.0, 1.0])
     depth = volume.cell_centers().points @ normal
     kept = depth < np.median(depth)
-    # none lie before the median if all lie in one plane
+    # no centroid is below the median if all are in one plane
     return boundary_of(volume, kept if kept.any() else ~kept), normal, up
 
 
 def boundary_of(volume: pv.UnstructuredGrid, kept: NDArray[Any]) -> pv.PolyData:
-    """Return the boundary of some tetrahedra, outward, with their cell data.
+    """Return the boundary of some tetrahedra, oriented outward, with their cell data.
 
     Parameters
     ----------
@@ -86,7 +85,7 @@ def _surface(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Image.Image:
 
 
 def _closeup(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Image.Image:
-    """Look at the triangle nearest to the eye, which nothing hides."""
+    """Show the triangle nearest to the eye, which is always visible, and its surroundings."""
     quality = triangle_quality(*from_polydata(surface))
     surface.cell_data["radius_ratio"] = quality.radius_ratio
     centres = surface.cell_centers().points
@@ -106,14 +105,14 @@ def _regions(surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Image.Image:
     table, colours = materials_of(surface)
     region = mesh.cell_data["region"]
     mesh.cell_data["colour"] = colours[region]
-    # the largest on the cut first
+    # the materials with the most triangles first
     numbers, areas = np.unique(region, return_counts=True)
     names = [(str(table[k]["name"]), colours[k]) for k in numbers[np.argsort(-areas, kind="stable")]]
     return draw(mesh, _aside(normal, up), up, names=names)
 
 
 def _aside(normal: Points, up: Points) -> Points:
-    """Look at a cut slightly from the side, so that its depth shows."""
+    """Return a direction slightly beside the normal, so that the depth of a cut is visible."""
     return normal + 0.28 * np.cross(up, normal) + 0.22 * up
 
 
@@ -128,26 +127,26 @@ def draw(
     names: Sequence[tuple[str, Any]] = (),
     part: tuple[Points, float] | None = None,
 ) -> Image.Image:
-    """Draw a mesh, with the bar of its colours or the names of its materials below it.
+    """Draw a mesh, with a colour bar or the names of its materials below it.
 
-    There is no perspective, so that sizes can be compared.
+    The projection is parallel, so that sizes can be compared.
 
     Parameters
     ----------
     mesh
         Triangles with cell data ``colour`` (RGB), or ``radius_ratio`` if there is a title.
     towards_eye, up
-        Directions.
+        Directions in the world.
     title
         Title of the colour bar.
     names
         Names and colours of the materials below the mesh.
     part
-        Middle and height, mm, of the part that is shown; the whole mesh by default.
+        Centre and height, mm, of the part that is shown; by default the whole mesh.
     """
     rows = [_HEIGHT - _STRIP, _STRIP] if title or names else [_HEIGHT]
     plotter = _plotter(rows)
-    # all of the mesh fits with a small margin
+    # the whole mesh fits, with a small margin
     axes = np.cross(up, towards_eye), np.cross(towards_eye, np.cross(up, towards_eye))
     wide, high = (np.ptp(mesh.points @ axis) / np.linalg.norm(axis) for axis in axes)
     height = float(1.12 * max(high, wide / (_WIDTH / rows[0])))
@@ -196,7 +195,7 @@ def _plotter(rows: list[int]) -> pv.Plotter:
 
 
 def _add_bar(plotter: pv.Plotter, title: str, mapper: Any) -> None:
-    """Draw the bar of the colours into the strip."""
+    """Draw the colour bar into the strip."""
     plotter.subplot(1, 0)
     plotter.add_scalar_bar(
         title,
@@ -225,7 +224,7 @@ def _colouring(mesh: pv.PolyData, title: str) -> dict[str, Any]:
 
 
 def _write_names(image: Image.Image, names: Sequence[tuple[str, Any]]) -> None:
-    """Write the first names after squares of their colours into the strip."""
+    """Write the first names into the strip, each after a square of its colour."""
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(_LETTERING)
     shown = [(name[:_LETTERS], tuple(colour)) for name, colour in names[:_LEGEND]]
     if len(names) > _LEGEND:
@@ -237,7 +236,7 @@ def _write_names(image: Image.Image, names: Sequence[tuple[str, Any]]) -> None:
 
 
 def main(surface_path: str, volume_path: str, *targets: str) -> None:
-    """Draw pictures; one that fails does not take the others with it.
+    """Draw pictures. If one fails, the others are still drawn.
 
     Parameters
     ----------

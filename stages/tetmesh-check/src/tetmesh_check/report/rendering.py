@@ -1,10 +1,10 @@
-"""Has pictures drawn by another process, and finds an off-screen renderer for it.
+"""Draws the pictures in another process, and finds an off-screen renderer for it.
 
-``python -m tetmesh_check.report.rendering`` says whether there is one.
+``python -m tetmesh_check.report.rendering`` ends with an error if there is none.
 
-VTK looks for its renderer (GLX, EGL, OSMesa) at run time and may end the whole process with a
-segmentation fault when it finds none. Everything that draws therefore runs in a process of its own,
-with the environment found here.
+VTK looks for its renderer (GLX, EGL, OSMesa) at run time. If it finds none, the process may end
+with a segmentation fault. So all drawing is done in a separate process, with the environment
+variables found here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from isoparticles._native import Context
 from tetmesh_check.arguments import Arguments
 
 _DRAWING_SECONDS = 300.0
-"""Time for the pictures after the other work."""
+"""Maximum time for the pictures after the other work, s."""
 _PROBE_SECONDS = 60.0
 _PROBE = """
 import vtkmodules.vtkRenderingOpenGL2
@@ -38,7 +38,7 @@ grab.SetInput(window)
 grab.Update()
 assert grab.GetOutput().GetScalarRange()[1] == 255.0
 """
-"""Without PyVista, whose plotter takes 0.9 s longer to import and draw."""
+"""Program that draws an empty picture. With PyVista, import and drawing would take 0.9 s longer."""
 _CHOICES = ({}, *({"VTK_DEFAULT_OPENGL_WINDOW": f"vtk{kind}RenderWindow"} for kind in ("OSOpenGL", "EGL")))
 """Environment variables to try without a display; VTK chooses by itself first."""
 
@@ -69,12 +69,12 @@ def use_renderer() -> None:
 
 @contextmanager
 def drawing(arguments: Arguments, context: Context, many: bool) -> Iterator[None]:
-    """Have the pictures drawn beside the work of the block.
+    """Draw the pictures in another process while the block runs.
 
     Parameters
     ----------
     arguments
-        What the user asked for; the surface and the volume mesh exist.
+        The arguments of the command line. The surface and the volume mesh exist.
     context
         For times, warnings, and ``pictures`` in the results.
     many
@@ -103,7 +103,7 @@ def drawing(arguments: Arguments, context: Context, many: bool) -> Iterator[None
 
 
 def _finish(process: Popen[str]) -> tuple[list[str], str]:
-    """Wait for the process; return the kinds that it drew, and why there are no others."""
+    """Wait for the process; return the kinds that it drew, and why others are missing."""
     try:
         told, errors = process.communicate(timeout=_DRAWING_SECONDS)
     except subprocess.TimeoutExpired:

@@ -67,12 +67,11 @@ class Task(NamedTuple):
     parts: Components | Shells
     """The components of the surface of one object, or the volumes of many materials."""
     field: GridField
-    """Edge lengths, mm, without the factor."""
+    """Edge lengths, mm, without ``tet_size_factor``."""
     envelope: float = 0.0
-    """For fTetWild: largest distance of the boundary from the surface of one object, mm."""
+    """For one object: maximum distance of the boundary of fTetWild from the surface, mm."""
     forced: tuple[ForcedSides, ForcedSides] | None = None
-    """Of many materials: where other triangles keep tetrahedra from the limit of the dihedral
-    angle, and both sides of the triangles with a small angle."""
+    """For many materials: the result of :func:`.find_forced`."""
 
 
 class Filled(NamedTuple):
@@ -94,7 +93,7 @@ class _Verdict(NamedTuple):
     """The quality of an attempt. Better attempts compare as greater."""
 
     fitting: int
-    """The number of faults at the interfaces of many materials, negative."""
+    """Minus the number of faults at the interfaces of many materials."""
     near: bool
     """Whether the distance between boundary and surface is within the limit."""
     well: bool
@@ -136,7 +135,7 @@ class _Attempts:
         self.runner = Runner(arguments.log, arguments.max_seconds, context)
 
     def judge(self, raw: Raw, method: Method, algorithm: str = "") -> _Verdict:
-        """Note the tetrahedra of an attempt, and judge them."""
+        """Add the tetrahedra of an attempt to the report, and return their verdict."""
         surface, limits, found, distance = self.task.surface, self.task.arguments.limits, None, 0.0
         if surface.sides is not None:
             with self.context.step("find regions"):
@@ -155,7 +154,7 @@ class _Attempts:
         near, well = distance <= limits.distance(self.task.envelope), well_shaped(filled.quality, limits)
         verdict = _Verdict(-found.faults if found else 0, near, well, smallest["scaled_jacobian"])
         self.results["attempts"].append(entry)
-        # the later of equal attempts counts: it may be partly mended
+        # of equal attempts, the later one is used: it may be partly mended
         if self.best is None or verdict >= self.best[0]:
             self.best = verdict, filled, entry
         self.context.verbose(
@@ -166,12 +165,12 @@ class _Attempts:
 
 
 def mend(raw: Raw | Filled, triangles: Cells, sides: Sides, limits: Limits) -> tuple[Raw, Conformity] | None:
-    """Replace the tetrahedra below a limit of shape or 12 degrees locally, by the Rust code.
+    """Replace the tetrahedra below a limit of shape or below 12 degrees, with the Rust code.
 
     Parameters
     ----------
     raw
-        Tetrahedra, positive; the vertices of the surface come first, and stay.
+        Positive tetrahedra. The vertices of the surface come first, and are kept.
     triangles
         Triangles of the interfaces, shape ``(k, 3)``.
     sides
@@ -308,7 +307,7 @@ def _by_tetwild(task: Task, attempts: _Attempts, context: Context) -> None:
 
 
 def fill(task: Task, context: Context) -> Filled:
-    """Fill a surface by the given tetrahedralizer, or by one that suits it.
+    """Fill a surface with the given tetrahedralizer, or with those that ``auto`` selects.
 
     Parameters
     ----------
@@ -320,7 +319,7 @@ def fill(task: Task, context: Context) -> Filled:
     Raises
     ------
     StageError
-        If no permitted tetrahedralizer fills it, or not so that each tetrahedron has a material.
+        If no permitted tetrahedralizer fills the surface, or if a tetrahedron has no material.
     """
     arguments, surface = task.arguments, task.surface
     chosen, reason = _choose(arguments, surface)

@@ -2,8 +2,8 @@
 
 Marot, Pellerin and Remacle, "One machine, one minute, three billion tetrahedra" (2019), and the
 optimization of Marot and Remacle, "Quality tetrahedral mesh generation with HXT" (2020). Gmsh is
-GPL-2.0-or-later and an optional package: it is imported in the child process only:
-``python -m tetmesh_check.tets.hxt FOLDER``.
+GPL-2.0-or-later and an optional package. Only the child process imports it: ``python -m
+tetmesh_check.tets.hxt FOLDER``.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 OPTIMIZE_THRESHOLD = 0.4
 """HXT improves the tetrahedra whose quality (1 is regular) is below this. A heart of 54,859
-vertices: 0.35 takes 1.5 s for a smallest dihedral angle of 15.4 degrees, 0.4 takes 2.2 s for 17.0,
-0.45 takes 7 s and 0.5 43 s for no larger angle (before :data:`LENGTH_FACTOR`)."""
+vertices: 0.35 takes 1.5 s and gives a minimum dihedral angle of 15.4 degrees; 0.4 takes 2.2 s and
+gives 17.0 degrees; 0.45 takes 7 s and 0.5 takes 43 s without a larger angle (measured without
+:data:`LENGTH_FACTOR`)."""
 
 LENGTH_FACTOR = 0.66
 """Factor of the edge lengths for HXT, which drops new vertices closer than this length to another.
@@ -54,7 +55,7 @@ WORKER = Worker(
     },
 )
 _OF_MATERIALS = replace(WORKER, when_it_fails="try a larger or smaller --tet-size-factor, or mesh fewer materials")
-"""For many materials."""
+"""The same for many materials."""
 _WORKERS = {"hxt": _OF_MATERIALS, "delaunay": replace(_OF_MATERIALS, name="Gmsh's Delaunay")}
 
 
@@ -69,7 +70,7 @@ def hxt_job(surface: Surface, sheets: tuple[Cells, Labels], field: GridField, si
         The two volumes of each sheet, below 0 for none, shape ``(s, 2)``, and the sheet of each
         triangle.
     field
-        Edge lengths over the bounding box of the surface, mm.
+        Edge lengths in the bounding box of the surface, mm.
     size_factor
         Factor of the edge lengths.
     """
@@ -95,8 +96,8 @@ def fill_by_hxt(job: Job, runner: Runner) -> Raw:
     Parameters
     ----------
     job
-        See :func:`hxt_job`. ``algorithm`` may be ``delaunay``, Gmsh's older one, for many
-        materials: slower, and it takes some surfaces that HXT does not.
+        See :func:`hxt_job`. For many materials, ``algorithm`` may be ``delaunay``, the older
+        algorithm of Gmsh. It is slower, but fills some surfaces that HXT cannot fill.
     runner
         Runs Gmsh, and raises the errors.
     """
@@ -115,14 +116,14 @@ def _set_options(gmsh: Any, job: Job) -> None:
         "General.NumThreads": 1,
         "Mesh.Algorithm3D": _ALGORITHMS[job["algorithm"]],
         "Mesh.OptimizeThreshold": OPTIMIZE_THRESHOLD,
-        # The background field alone says how large the tetrahedra of one object are. Where sheets
-        # of many materials meet, triangles may be far smaller than it: what stands on them is to be
-        # as small, and to grow from there. The chest of thorax_labels at 3 mm has 284 scaled
-        # Jacobians below 0.05 in place of 748 by that, and 0.1 % more vertices.
+        # For one object, only the background field determines the size of the tetrahedra. Where
+        # interfaces of many materials meet, triangles may be much smaller. Tetrahedra on them must
+        # be as small, and grow from there. With this, the scaled Jacobians below 0.05 in
+        # thorax_labels at 3 mm decrease from 748 to 284, with 0.1 % more vertices.
         "Mesh.MeshSizeExtendFromBoundary": int(job["extends"]),
         "Mesh.MeshSizeFromPoints": 0,
         "Mesh.MeshSizeFromCurvature": 0,
-        # a node keeps its number, so that the surface's come first and in their order
+        # nodes keep their numbers, so those of the surface come first and in order
         "Mesh.Renumber": 0,
     }.items():
         gmsh.option.setNumber(name, value)
@@ -145,8 +146,8 @@ def _set_edge_lengths(gmsh: Any, lengths: Any, origin: Any, spacing: float) -> N
 def _add_volumes(gmsh: Any, job: Job) -> list[int]:
     """Add a discrete surface for each sheet; return the tags of the volumes.
 
-    Sheets share the vertices on their rims, so the first one gets all vertices. Gmsh identifies a
-    volume by its sheets, and no two volumes have the same sheets.
+    Sheets share the vertices along their edges, so the first one gets all vertices. Gmsh identifies
+    a volume by its sheets, and no two volumes have the same sheets.
     """
     points, triangles, sheet, bounds = (job[name] for name in ("points", "triangles", "sheet", "bounds"))
     surfaces = [gmsh.model.addDiscreteEntity(2) for _ in bounds]

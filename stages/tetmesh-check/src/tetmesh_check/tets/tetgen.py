@@ -1,8 +1,9 @@
 """TetGen: keeps the triangles of the surface.
 
 Si, "TetGen, a Delaunay-based quality tetrahedral mesh generator" (2015). TetGen is
-AGPL-3.0-or-later and an optional package that setup-env.sh never installs: it is chosen by hand
-only, and imported in the child process only: ``python -m tetmesh_check.tets.tetgen FOLDER``.
+AGPL-3.0-or-later and an optional package that setup-env.sh never installs. It is used only with
+``--method tetgen``, and only the child process imports it: ``python -m tetmesh_check.tets.tetgen
+FOLDER``.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ if TYPE_CHECKING:
     from tetmesh_check.topology import Components
 
 _SHAPE = {"max_radius_edge_ratio": 1.414, "min_dihedral": 10.0}
-"""Largest ratio of circumradius to shortest edge, and smallest dihedral angle (degrees), where the
+"""Maximum ratio of circumradius to shortest edge, and minimum dihedral angle (degrees), if the
 surface allows them."""
 _OPTIMIZATION = 4
 """Level of the optimization at the end."""
 _NEAR = 1e-3
-"""Distance from its triangle of the point that marks a cavity, relative to the length of this
+"""Distance between the point that marks a cavity and its triangle, relative to the size of the
 triangle."""
 
 WORKER = Worker(
@@ -40,12 +41,12 @@ WORKER = Worker(
 
 
 def regular_volume(edge_length: float) -> float:
-    """Volume of a regular tetrahedron, mm^3.
+    """Return the volume of a regular tetrahedron, mm^3.
 
     Parameters
     ----------
     edge_length
-        Its edges, mm.
+        Length of its edges, mm.
     """
     return edge_length**3 / (6.0 * math.sqrt(2.0))
 
@@ -61,7 +62,7 @@ def cavity_points(surface: Surface, components: Components) -> Points:
         Its components; a cavity is one at an odd depth.
     """
     a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)  # away from the matter, hence into the cavity
+    normals = np.cross(b - a, c - a)  # out of the object, into the cavity
     sizes = np.linalg.norm(normals, axis=1)
     cavities = np.flatnonzero(components.depths % 2 == 1)
     at = [int(np.argmax(np.where(components.labels == cavity, sizes, -1.0))) for cavity in cavities]
@@ -77,10 +78,9 @@ def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, 
     surface
         A checked surface.
     components
-        Its components, and which lies in which.
+        Its components and their nesting.
     max_volume
-        Largest volume of a tetrahedron aimed at, mm^3; the optimization at the end may make them
-        larger.
+        Target for the maximum volume of a tetrahedron, mm^3. The final optimization may exceed it.
     runner
         Runs TetGen, and raises the errors.
     """

@@ -1,4 +1,4 @@
-"""fTetWild: fills any surface, within an envelope of it.
+"""fTetWild: fills any surface, and keeps samples of its boundary within an envelope.
 
 ``python -m tetmesh_check.tets.tetwild FOLDER`` is its child process.
 """
@@ -22,7 +22,8 @@ _COARSE_FRACTION = 0.05
 """Minimum edge length outside the object, relative to the diagonal of its bounding box. The default
 of fTetWild."""
 _LOG_LEVEL = 3
-"""fTetWild's warnings; below that it also writes debugging meshes into the working folder."""
+"""Warnings and errors. At lower levels, fTetWild also writes debugging meshes to the working
+folder."""
 
 WORKER = Worker(
     name="fTetWild",
@@ -40,14 +41,14 @@ WORKER = Worker(
 
 
 def tetwild_job(surface: Surface, field: GridField, size_factor: float) -> Job:
-    """Describe a surface and the edge lengths in it by arguments of pytetwild.
+    """Return the arguments of pytetwild for a surface and the edge lengths in it.
 
     Parameters
     ----------
     surface
         A checked surface.
     field
-        Edge lengths over the object, mm.
+        Edge lengths in the object, mm.
     size_factor
         Factor of the edge lengths.
     """
@@ -74,10 +75,10 @@ def fill_by_tetwild(job: Job, runner: Runner) -> Raw:
     Parameters
     ----------
     job
-        See :func:`tetwild_job`, with more arguments of pytetwild: ``epsilon`` (largest distance of
-        the new boundary from the surface over the diagonal of the bounding box), ``stop_energy``
-        (optimization stops at this largest AMIPS energy; 3 is regular, larger is worse),
-        ``num_opt_iter`` (largest number of passes) and ``num_threads``.
+        See :func:`tetwild_job`, with more arguments of pytetwild: ``epsilon`` (maximum distance of
+        the new boundary from the surface, relative to the diagonal of the bounding box),
+        ``stop_energy`` (optimization stops at this maximum AMIPS energy; 3 is regular, larger is
+        worse), ``num_opt_iter`` (maximum number of passes) and ``num_threads``.
     runner
         Runs fTetWild, and raises the errors.
     """

@@ -35,11 +35,12 @@ Job = dict[str, Any]
 _JOB, _RESULT = "job.npz", "result.npz"
 _POLL_SECONDS = 0.5
 _TAIL = 4096
-"""Characters at the end of the log in which progress is looked for."""
+"""Number of characters at the end of the log that are searched for progress."""
 _UNAVAILABLE = 3
 """Exit code of a child whose library cannot be imported."""
 _NO_ROOM = 4
-"""Exit code of a child that cannot write temporary files; its last words are the reason."""
+"""Exit code of a child that cannot write temporary files; the last line of the log is the
+reason."""
 _PR_SET_PDEATHSIG = 1
 _LINE_BUFFERED = 1
 
@@ -49,7 +50,7 @@ class UnavailableError(StageError):
 
 
 class TimeLimitError(StageError):
-    """A tetrahedralizer was ended because its time was over."""
+    """A tetrahedralizer was stopped at its time limit."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Worker:
 
 @dataclass(frozen=True)
 class Raw:
-    """Tetrahedra as made."""
+    """Tetrahedra as returned by a tetrahedralizer or by mending."""
 
     points: Points
     """Positions, mm, shape ``(n, 3)``."""
@@ -98,13 +99,14 @@ class Raw:
     summary: dict[str, Any]
     """For the report: version of the library and time in s, or the changes by mending."""
     turned: bool = False
-    """Whether all tetrahedra were wound the other way."""
+    """Whether the vertex order of all tetrahedra was reversed."""
 
 
 def scale_of(points: Points) -> float:
-    """Power of 2 that brings a box to a diagonal of order 100; 1 for diagonals from 1 to 1000.
+    """Return the power of 2 that scales a box to a diagonal of about 100; 1 for 1 to 1000.
 
-    Tetrahedralizers have absolute tolerances: fTetWild strays from a box of 1e-5.
+    Tetrahedralizers have absolute tolerances. Without a scale, the boundary of fTetWild is 5e-6 mm
+    from the surface of an object with voxels of 1e-6 mm.
 
     Parameters
     ----------
@@ -136,13 +138,13 @@ class Runner:
         log.unlink(missing_ok=True)
 
     def run(self, worker: Worker, job: Job, **settings: object) -> Raw:
-        """Fill a surface with tetrahedra in a child process; the summary has the settings as well.
+        """Fill a surface in a child process. The settings are added to the summary.
 
         Raises
         ------
         StageError
-            If it crashes, fails, returns nothing, or takes longer than the limit; the process is
-            ended then.
+            If the child process crashes, fails, returns nothing, or reaches the time limit, at
+            which it is stopped.
         """
         with temporary_folder("tetmesh-check-") as folder:
             np.savez(folder / _JOB, **job)
@@ -164,11 +166,12 @@ class Runner:
         return Raw(points, tetrahedra, {"version": version, "seconds": seconds, **settings}, turned)
 
     def _run_process(self, worker: Worker, folder: Path) -> int:
-        """Run the module of a worker and show how far it is; return its exit code."""
+        """Run the module of a worker and show its progress; return its exit code."""
         progress = self._context.progress("tetrahedralize")
         current: dict[str, str] = {}
-        # Some write debugging files to the current folder, which is a temporary one.
-        # In a session of its own, it receives Ctrl-C through this process only.
+        # Some tetrahedralizers write debugging files to the current folder, so it is a temporary
+        # one. The child process has its own session: Ctrl-C only reaches this process, which stops
+        # it.
         with (
             closing(progress),
             self.log.open("ab") as stream,
@@ -224,16 +227,15 @@ def serve(library: str, fill: Callable[[Any, Job], Any]) -> None:
     Parameters
     ----------
     library
-        The Python package to import; the process ends with a code of its own if that cannot be
-        done.
+        The Python package to import. If this fails, the exit code is :data:`_UNAVAILABLE`.
     fill
-        Converts the library and the job to points and tetrahedra.
+        Returns points and tetrahedra. Its arguments are the imported package and the job.
     """
     if sys.platform == "linux":
         libc = ctypes.CDLL(None)
-        # the log shows each line at once
+        # each line appears in the log at once
         libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, _LINE_BUFFERED, 1 << 16)
-        # this process ends with its parent, even with one that SIGKILL ends
+        # this process ends with its parent, even if SIGKILL ends the parent
         libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     try:
         loaded = importlib.import_module(library)

@@ -1,7 +1,7 @@
 """The status of a case, and the files that it lists.
 
-``NAME.status.json`` says what the last run made or confirmed. Nothing is looked for beside it: a
-file that it does not list may be of an earlier run, whatever its name.
+``NAME.status.json`` lists the files that the last run made or confirmed. Other files are ignored:
+they may be from an earlier run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tetmesh_check.errors import StageError, file_error
 
 FORMAT, VERSION = "isoparticles-status", 1
 _ENDED = frozenset({"done", "failed", "error", "interrupted"})
-"""States of a stage whose files are of the last run."""
+"""States of a stage whose files are from the last run."""
 _KINDS = {
     "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail",
     "interrupted": "warning", "running": "neutral",
@@ -27,14 +27,14 @@ _PICTURES = ("surface", "closeup", "cut", "regions")
 
 
 def dig(data: Any, *keys: str) -> Any:
-    """Look up an entry of nested objects; ``None`` where a key is not there.
+    """Look up an entry of nested objects; ``None`` if a key is missing.
 
     Parameters
     ----------
     data
         The outermost object.
     keys
-        From the outside in.
+        Keys, the outermost first.
     """
     for key in keys:
         data = data.get(key) if isinstance(data, dict) else None
@@ -49,7 +49,7 @@ class Case:
     goal: str
     verdict: str
     headline: str
-    """The verdict as a sentence, by who ran the stages."""
+    """The verdict as a sentence, from the program that ran the stages."""
     inputs: list[dict[str, Any]]
     parameters: dict[str, str]
     page: Path | None
@@ -67,12 +67,12 @@ class Case:
 
     @property
     def results(self) -> dict[str, Any]:
-        """The results of ``tetmesh-check``; empty where there are none."""
+        """The results of ``tetmesh-check``; empty if there are none."""
         return dig(self.reports, "tetmesh-check", "results") or {}
 
     @property
     def checks(self) -> list[dict[str, Any]]:
-        """The checks of ``tetmesh-check``; empty where it did not come so far."""
+        """The checks of ``tetmesh-check``; empty if it did not reach them."""
         return self.results.get("checks") or []
 
     @property
@@ -118,8 +118,8 @@ class Case:
         stage
             The stage that made it.
         ending
-            As in ``.surface.vtp``; a result that was set aside because a check failed ends in
-            ``.surface.failed.vtp``.
+            Ending such as ``.surface.vtp``. A result of a failed check, such as
+            ``.surface.failed.vtp``, is also found.
         """
         endings = (ending, ".failed.".join(ending.rsplit(".", 1)))
         own = (file for file in self.files if file["stage"] == stage and file["name"].endswith(endings))
@@ -127,7 +127,7 @@ class Case:
 
     @property
     def input(self) -> Path | None:
-        """The volume that was meshed: the user's, or the phantom that was made for the case."""
+        """The meshed volume: that of the user, or the phantom of the case."""
         own = (Path(entry["path"]) for entry in self.inputs if entry["role"] == "volume")
         return next(own, self.file("phantom", ".nrrd"))
 
@@ -139,7 +139,7 @@ class Case:
 
     @property
     def passes(self) -> list[dict[str, float]]:
-        """Log of ``particles``, with one entry per pass; empty where there is none."""
+        """Log of ``particles``, with one entry per pass; empty if there is none."""
         path = self.file("particles", ".passes.csv")
         return [] if path is None else _read(path, _passes, "give the log that particles wrote (--log)")
 
@@ -174,7 +174,7 @@ def _files(stage: dict[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def read_case(status: Path) -> Case:
-    """Read the status of a case, and what it lists.
+    """Read the status of a case, and the reports that it lists.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def read_case(status: Path) -> Case:
     Raises
     ------
     StageError
-        If it is no status, or a report that it lists cannot be read.
+        If the file is not a status, or if a report that it lists cannot be read.
     """
     advice = "give NAME.status.json, which make writes into the folder of the case"
     data = _read(status, json.load, advice)

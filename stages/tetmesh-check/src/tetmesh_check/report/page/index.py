@@ -36,7 +36,7 @@ _MEASURES = {
 
 
 def summary(case: Case) -> dict[str, Any]:
-    """Condense a case to one line; what is not known is ``None``.
+    """Return the row of a case; unknown values are ``None``.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ def summary(case: Case) -> dict[str, Any]:
 
 
 def as_csv(lines: Sequence[dict[str, Any]]) -> str:
-    """Write the summaries as CSV, with every column that any of them has.
+    """Write rows as CSV, with all columns that any row has.
 
     Parameters
     ----------
     lines
-        Those of :func:`summary`.
+        Rows of :func:`summary`.
     """
     columns = list(dict.fromkeys(name for line in lines for name in line))
     stream = io.StringIO()
@@ -76,17 +76,17 @@ def as_csv(lines: Sequence[dict[str, Any]]) -> str:
 
 
 def read_cases(statuses: Sequence[Path]) -> list[Case]:
-    """Read what is known about each case; a file that is no status is left out with a warning.
+    """Read the cases; omit files that are not a status, with a warning.
 
     Parameters
     ----------
     statuses
-        Those of the cases.
+        The status files.
 
     Raises
     ------
     StageError
-        If none of them is one.
+        If no file is a status.
     """
     cases, errors = [], []
     for status in statuses:

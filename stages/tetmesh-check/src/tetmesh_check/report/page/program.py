@@ -30,13 +30,13 @@ _SECTIONS = (
     "in three dimensions", "pictures", "materials", "quality", "solve", "particles", "stages",
     "files", "how this was made", "methods",
 )  # fmt: skip
-"""The sections in order; their templates have ``_`` in place of blanks."""
+"""The sections in order. The names of their templates have ``_`` instead of spaces."""
 _OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
 """Errors that reports of another version cause."""
 
 
 def _scan_of(case: Case) -> tuple[Scan | None, StageError | None]:
-    """Read the input volume; return the error where it cannot be read."""
+    """Read the input volume; return the error if it cannot be read."""
     if case.input is None:
         return None, None
     source = dig(case.reports, "distfield", "results", "meta", "source")
@@ -49,14 +49,14 @@ def _scan_of(case: Case) -> tuple[Scan | None, StageError | None]:
 
 
 def _mesh_of(case: Case, stage: str, ending: str) -> Any:
-    """Read a mesh; ``None`` also for one that cannot be shown."""
+    """Read a mesh; ``None`` if it is missing or cannot be shown."""
     path = case.file(stage, ending)
     mesh = read_dataset(path) if path else None
     return mesh if mesh is not None and mesh.n_cells and np.isfinite(mesh.points).all() else None
 
 
 def _section(name: str, shown: dict[str, Any]) -> str:
-    """Write a section, or that its data are missing."""
+    """Return the HTML of a section, or a note that its data are missing."""
     try:
         return render(name.replace(" ", "_"), **shown)
     except _OTHER_VERSION as error:
@@ -64,14 +64,14 @@ def _section(name: str, shown: dict[str, Any]) -> str:
 
 
 def page(case: Case, folder: Path) -> str:
-    """Write the page of a case.
+    """Return the HTML of the page of a case.
 
     Parameters
     ----------
     case
         The case.
     folder
-        Path of the page; links are relative to it.
+        Folder of the page. Links are relative to it.
     """
     surface = _mesh_of(case, "reconstruct", ".surface.vtp")
     scan, unreadable = _scan_of(case)
@@ -100,7 +100,7 @@ def page(case: Case, folder: Path) -> str:
 def write_page(
     tool: str, parsed: Namespace, usual: str, endings: Sequence[str], make: Callable[[Path], dict[str, str]]
 ) -> int:
-    """Write a page and files beside it, as the command line says.
+    """Write a page and its other files, as the command line says.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def write_page(
     parsed
         The arguments, with ``output`` and ``force``.
     usual
-        The usual name of the page.
+        Name of the page that an error message suggests.
     endings
         Endings of the files.
     make

@@ -28,16 +28,16 @@ class Scan(InputVolume):
     """A volume to be shown."""
 
     labels: bool = False
-    """Whether the numbers are names of tissues rather than a measure."""
+    """Whether the values are labels of tissues, not measurements."""
 
     @property
     def spacing(self) -> Values:
-        """Between voxel centres along each grid axis, mm; shape ``(3,)``."""
+        """Distance between voxel centres along each grid axis, mm; shape ``(3,)``."""
         return np.asarray(np.linalg.norm(self.step, axis=0))
 
     @property
     def world_axes(self) -> list[int]:
-        """The axis of the world that each grid axis is nearest to, each once."""
+        """The world axis nearest to each grid axis; each world axis occurs once."""
         cosines = np.abs(self.step / self.spacing)
         return list(max(permutations(range(3)), key=lambda axes: cosines[np.array(axes), range(3)].sum()))
 
@@ -107,7 +107,7 @@ def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
     labels
         Whether it holds labels.
     series
-        Series of a folder of DICOM slices that holds several.
+        The series to read, if a folder of DICOM slices contains several.
 
     Raises
     ------

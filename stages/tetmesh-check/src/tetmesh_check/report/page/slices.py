@@ -20,9 +20,9 @@ from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.templates import image_data, render
 
 SLICES = 40
-"""Largest number of slices a plane."""
+"""Maximum number of slices per plane."""
 PIXELS = 288
-"""Longest side of a slice in the page: three planes of 40 slices of a CT then take about 1.5 MB."""
+"""Longest side of a slice on the page. Three planes of 40 slices of a CT take about 1.5 MB."""
 _PLANES = ("sagittal", "coronal", "axial")
 """The plane across each axis of the body's world."""
 _COLUMNS = 8
@@ -32,16 +32,17 @@ _MARGIN = 0.25
 _PERCENTILES = (0.5, 99.5)
 """Percentiles of the values shown as black and white, so that few voxels do not set the range."""
 _NEAR = 0.35
-"""Points of an outline in one cell of a grid of this width are thinned out, pixels."""
+"""Width of the cells of a grid, pixels. Of consecutive points in one cell, an outline keeps the
+first."""
 _TENTHS = 10
-"""Outlines are kept to a tenth of a pixel."""
+"""Steps per pixel to which outlines are rounded."""
 _EQUAL = 0.99
 """Outlines count as equal if their lengths differ by less than 1 %, which the eye does not see."""
 
 
 @dataclass(frozen=True)
 class Shades:
-    """Colours of some values, which also those nearest to them get."""
+    """Colours of some values. Other values get the colour of the nearest one."""
 
     values: NDArray[Any]
     """Labels, or the values of shades of grey, ascending, shape ``(n,)``."""
@@ -49,12 +50,12 @@ class Shades:
     """Shape ``(n, 3)``."""
 
     def image(self, values: NDArray[Any]) -> Image.Image:
-        """Turn a slice into a picture, one pixel a voxel; the first axis runs to the right.
+        """Turn a slice into a picture with one pixel per voxel; the first axis points to the right.
 
         Parameters
         ----------
         values
-            Shape ``(nx, ny)``; what is not a number is shown as the lowest value.
+            Shape ``(nx, ny)``. NaN is shown as the lowest value.
         """
         between = 0.5 * (self.values[1:] + self.values[:-1])
         nearest = np.searchsorted(between, np.nan_to_num(values, nan=self.values[0]))
@@ -86,14 +87,14 @@ def shades_of(scan: Scan, key: list[Entry]) -> Shades:
 
 
 def outlines(surface: pv.PolyData, places: NDArray[np.int64]) -> list[list[Points]]:
-    """Cut a surface by planes across z; closed polygons, open ones where the surface is.
+    """Cut a surface by planes across z into polygons, which are open where the surface is open.
 
     Parameters
     ----------
     surface
         Triangles.
     places
-        Whole numbers z of the planes, ascending.
+        Whole numbers: z of the planes, ascending.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def path_of(polygons: list[Points]) -> str:
 
 
 def _first(found: list[list[Points]]) -> int:
-    """Choose the first slice to show: the longest outline. Of equal ones, take the middle one."""
+    """Return the first slice to show: that with the longest outline, the middle one of equals."""
     lengths = np.array([sum(np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in each) for each in found])
     equal = np.flatnonzero(lengths >= _EQUAL * lengths.max())
     return int(equal[np.abs(equal - len(found) // 2).argmin()])
@@ -137,11 +138,11 @@ def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Point
     """Describe the slices across an axis of the world, from the upright part that is shown."""
     across = scan.world_axes.index(axis)
     right, down = (other for other in range(3) if other != axis)
-    # in LPS y grows towards the back, which is down
+    # in LPS, y points to the back, which is at the bottom of an axial slice
     downwards = 1 if axis == 2 and scan.anatomical else -1
     last = shown.values.shape[axis] - 1
     low, high = 0, last
-    if mesh is not None:  # no slices far before and behind the mesh
+    if mesh is not None:  # no slices far from the mesh
         ends = np.floor(mesh[0][:, axis].min()) - 1, np.ceil(mesh[0][:, axis].max()) + 1
         low, high = np.clip(ends, 0, last).astype(int).tolist()
     chosen = np.round(np.linspace(low, high, min(SLICES, high - low + 1))).astype(int)
@@ -177,9 +178,9 @@ def _stack(scan: Scan, shown: Scan, axis: int, shades: Shades, mesh: tuple[Point
 
 
 def slices(scan: Scan, mesh: tuple[Points, Cells] | None, key: list[Entry]) -> str:
-    """Write three stacks of slices with the outline of the mesh.
+    """Return the HTML of three stacks of slices with the outline of the mesh.
 
-    They are seen in radiological convention, or with z up if the world is not that of the body.
+    They are shown in radiological convention, or with z up if the world is not that of the body.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def stacks(scan: Scan, shades: Shades, mesh: tuple[Points, Cells] | None) -> lis
 
 
 def facts(scan: Scan, name: str, key: list[Entry]) -> str:
-    """Write what the input is.
+    """Return the HTML of a table about the input.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ from tetmesh_check.surface import with_changes
 
 _PICTURE_WIDTH = 1400
 _ZOOMS = (1.0, 0.85, 0.7, 0.6, 0.5)
-"""Sizes of the part that :func:`filled` tries, over that of the picture."""
+"""Sizes of the part that :func:`filled` tries, relative to the picture."""
 _FULL = 0.9
 """Share of a part that the mesh must cover for :func:`filled` to stop there."""
 
@@ -120,12 +120,12 @@ def titles(body: str) -> list[str]:
 
 
 def link(path: Path, folder: Path) -> str:
-    """Return the address of a file in a page in a folder."""
+    """Return the address of a file, relative to the folder of the page."""
     return quote(Path(os.path.relpath(path, folder)).as_posix())
 
 
 def resource(name: str) -> Markup:
-    """Return the text of a file of CSS or JavaScript beside this one, or of JSON."""
+    """Return the text of a file of CSS, JavaScript or JSON in this package."""
     return Markup(files("tetmesh_check.report.page").joinpath(name).read_text(encoding="utf-8"))
 
 
@@ -160,14 +160,14 @@ def advice_for(words: str, parameters: Mapping[str, str] = MappingProxyType({}))
 
 
 def image_data(image: Image.Image, lossless: bool = False) -> str:
-    """Turn an image into a data address (WebP).
+    """Return an image as a data URL (WebP).
 
     Parameters
     ----------
     image
         The image.
     lossless
-        Whether every pixel is kept, as labels need.
+        Whether every pixel keeps its colour, as labels require.
     """
     stream = io.BytesIO()
     image.save(stream, "WEBP", quality=82, method=4, lossless=lossless)
@@ -175,7 +175,7 @@ def image_data(image: Image.Image, lossless: bool = False) -> str:
 
 
 def filled(image: Image.Image) -> Image.Image:
-    """Enlarge the part of a picture that the mesh covers best, above the colour bar, which stays.
+    """Enlarge the part of a picture that the mesh covers best. The colour bar is kept.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def filled(image: Image.Image) -> Image.Image:
         lefts, tops = (np.unique(np.linspace(0, room, 25).astype(int)) for room in (width - wide, height - high))
         top, left = np.meshgrid(tops, lefts, indexing="ij")
         sums = cover[top + high, left + wide] - cover[top, left + wide] - cover[top + high, left] + cover[top, left]
-        # of equal parts the one nearest to the middle, at which the picture looks
+        # of equal parts, the one nearest to the middle of the picture
         aside = np.hypot(left + 0.5 * wide - 0.5 * width, top + 0.5 * high - 0.5 * height) / width
         shares = sums / (wide * high) - 0.01 * aside
         k = int(shares.argmax())
@@ -205,17 +205,17 @@ def filled(image: Image.Image) -> Image.Image:
 
 
 def picture_data(path: Path, kind: str = "", width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
-    """Turn a picture into a data address for the page; with its width and height, pixels.
+    """Return a picture as a data URL, with its width and height, pixels.
 
     Parameters
     ----------
     path
-        A picture; what is transparent in it stays so.
+        A picture. Transparency is kept.
     kind
-        A ``closeup`` is enlarged where the mesh is. ``regions`` lose the names below the mesh,
-        which the page writes as text.
+        A ``closeup`` is enlarged (:func:`filled`). The names below ``regions`` are removed, because
+        the page has them as text.
     width
-        Wider ones are made smaller.
+        Maximum width, pixels.
     """
     try:
         image = Image.open(path).convert("RGBA")
@@ -237,7 +237,7 @@ _FUNCTIONS = (
 
 @cache
 def environment() -> Environment:
-    """Return the templates by name; all functions are filters as well."""
+    """Return the environment of the templates. All functions are also filters."""
     made = Environment(
         loader=PackageLoader("tetmesh_check.report.page"),
         autoescape=True,

@@ -1,6 +1,6 @@
 """The 3-D view: which meshes it shows, and their data as text.
 
-The text holds whole numbers, as differences, deflated, in base64.
+The text is base64 of deflated whole numbers, many of them differences.
 """
 
 from __future__ import annotations
@@ -23,17 +23,15 @@ from tetmesh_check.report.page.scan import world_letters
 from tetmesh_check.report.pictures import boundary_of, cut_of
 
 STEPS = 8191
-"""Steps over half of the longest side of the object: a ten-thousandth of it is well below a
-pixel."""
+"""Steps in half of the longest side of the object. A step is well below a pixel."""
 MAX_TRIANGLES = 1_000_000
-"""Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the
-cut holds 5.5 MB of them."""
+"""Larger meshes are omitted from the view. For `ribs`, 579,140 triangles and 287,010 on the cut
+take 5.5 MB of the page."""
 _WHOLE_VALUES = 300_000
-"""Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as
-much."""
+"""Values of meshes with more triangles have 8 bits instead of 16, which halves their deflated
+size."""
 _RANGE = (1.0, 99.0)
-"""Percentiles at the ends of the colour bar: the few best and worst do not decide what all others
-look like."""
+"""Percentiles at the ends of the colour bar, so that a few extreme values do not set its range."""
 WORST = 1.0
 """Percent of the triangles that 'worst' shows."""
 _YAW, _PITCH = 0.63, 0.38
@@ -42,9 +40,10 @@ _SIDEWAYS = (np.cos(_YAW), np.sin(_YAW), 0.0)
 _UPWARDS = (-np.sin(_PITCH) * np.sin(_YAW), np.sin(_PITCH) * np.cos(_YAW), np.cos(_PITCH))
 """Axes of the picture in that view."""
 _MAX_WORST = 5000
-"""Largest number of tetrahedra among the worst: more only hide each other."""
+"""Maximum number of worst tetrahedra. More would hide each other."""
 _MAX_REGIONS = 12
-"""Materials that can be looked at one by one, the largest first: the page grows with each."""
+"""Maximum number of materials that are also shown alone, the largest first. Each makes the page
+larger."""
 
 
 class Measure(NamedTuple):
@@ -57,7 +56,7 @@ class Measure(NamedTuple):
     unit: str = ""
     """With a space before it, as in ``" mm"``."""
     worst: str = ""
-    """``low`` or ``high``: which end is bad; empty where none is."""
+    """``low`` or ``high``: which end is bad; empty if none is."""
 
 
 MEASURES = (
@@ -67,17 +66,18 @@ MEASURES = (
     Measure("deviation", "deviation from F = 0", " mm", "high"),
     Measure("material", "material"),
 )
-"""Of a mesh, the first states which end is bad if the chosen one does not."""
+"""If the chosen measure has no bad end, the first one of the mesh defines which triangles are the
+worst."""
 
 
 @dataclass(frozen=True)
 class ViewMesh:
-    """One of the meshes to look at."""
+    """One mesh of the view."""
 
     name: str
     """Name on the page."""
     mesh: pv.PolyData
-    """Triangles; their data, or those of vertices, are the measures."""
+    """Triangles. Their cell data and point data are the measures."""
     within: bool = False
     """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
     names: tuple[tuple[str, tuple[int, int, int]], ...] = ()
@@ -131,7 +131,7 @@ def _views_of_volume(grid: pv.UnstructuredGrid, key: list[Entry]) -> list[ViewMe
 
 
 def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewMesh]:
-    """Each material inside a ghost of the whole, the largest first."""
+    """Return each material inside a ghost of the whole, the largest first."""
     region = grid.cell_data["region"]
     numbers, counts = np.unique(region, return_counts=True)
     views: list[ViewMesh] = []
@@ -145,7 +145,7 @@ def _views_of_regions(grid: pv.UnstructuredGrid, names: list[str]) -> list[ViewM
 
 
 def view_meshes(surface: pv.PolyData | None, volume: pv.UnstructuredGrid | None, key: list[Entry]) -> list[ViewMesh]:
-    """Gather what the 3-D view shows.
+    """Return the meshes of the 3-D view.
 
     Parameters
     ----------
@@ -169,13 +169,13 @@ def _planes(numbers: NDArray[Any]) -> bytes:
 
 
 def _differences(numbers: NDArray[Any]) -> bytes:
-    """Return zigzag differences of whole numbers, as four planes of bytes."""
+    """Return the differences of whole numbers in zigzag code, as four planes of bytes."""
     steps = np.diff(numbers, prepend=0)
     return _planes(np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4"))
 
 
 def measures_of(mesh: pv.PolyData) -> list[Measure]:
-    """Find what a mesh can be coloured by.
+    """Return the measures by which a mesh can be coloured.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def pack(meshes: list[ViewMesh], anatomical: bool = True) -> tuple[dict[str, Any
     tuple
         Description of the data for the script, and the data.
     """
-    # numbers used vertices in the order of the triangles, so that differences are small
+    # `clean` numbers the used vertices in the order of the triangles, so differences are small
     shown = [view.mesh.clean(point_merging=False) for view in meshes]
     points = np.concatenate([mesh.points for mesh in shown])
     low, high = points.min(axis=0), points.max(axis=0)
