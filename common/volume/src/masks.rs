@@ -186,7 +186,7 @@ fn level(path: &Path, mask: &Volume) -> Result<f32> {
         path,
         format!("is not a mask; it contains values from {low} to {high}"),
         "several volumes are read as masks: 0 and one other value, or probabilities from 0 to 1",
-        "leave it out (move the file to another folder); a label map or a scan is meshed alone",
+        "omit it, or move it to another folder; mesh a label map or a scan alone",
     ))
 }
 

@@ -300,7 +300,7 @@ def test_masks_by_name_are_the_folder_of_masks(iso: ModuleType, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("image", "more", "kind", "told"),
     [
-        ({}, {}, ValueError, "no mask"),
+        ({}, {}, ValueError, "no masks"),
         ({1: ball()}, {}, TypeError, "must be a text"),
         ({"a": np.arange(64).reshape(4, 4, 4)}, {}, Exception, "a: is not a mask"),
         (np.ma.masked_equal(ball(), 0), {}, TypeError, "filled"),

@@ -193,7 +193,7 @@ def test_a_full_folder_of_temporary_files_is_named(
     monkeypatch.setattr("tetmesh_check.tets.worker.np.savez", no_room)
     assert cli.main(words) == 2
     said = capfd.readouterr().err
-    assert f"{tmp_path / 'full'}: cannot hold temporary files: No space left on device" in said
+    assert f"{tmp_path / 'full'}: cannot store temporary files: No space left on device" in said
     assert "TMPDIR" in said
     assert "ball.vtu" not in said
 
@@ -206,7 +206,7 @@ def test_a_worker_without_room_for_its_result_blames_the_temporary_folder(
     fake_library(tmp_path, monkeypatch, "pytetwild", code)
     done = run("ball.vtp", "-o", "ball.vtu")
     assert done.returncode == 2
-    assert f"{tmp_path}: cannot hold temporary files: No space left on device" in done.stderr
+    assert f"{tmp_path}: cannot store temporary files: No space left on device" in done.stderr
 
 
 @pytest.mark.parametrize("size", [1e-7, 1.0, 1e5])

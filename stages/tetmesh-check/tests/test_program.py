@@ -345,12 +345,12 @@ UNKNOWN = {"materials": None, "volume": False}
 @pytest.mark.parametrize(
     ("known", "options", "told"),
     [
-        (ONE, "--export stl,feb", "'stl' is none of inp"),
+        (ONE, "--export stl,feb", "'stl' is not one of inp"),
         (ONE, "--min-dihedral 90", "--min-dihedral"),
         (ONE, "--order 2 --distfield f.vti --export carp", "--export carp with --order 2"),
         (ONE, "--labels-volume nowhere.nrrd", "nowhere.nrrd: cannot read"),
         (ONE, "--source heart", "that of one object"),
-        (MANY, "--source haert", "'haert' is none of the materials of the surface: heart, lungs"),
+        (MANY, "--source haert", "'haert' is not a material of the surface: heart, lungs"),
         (MANY, "--method tetgen", "supports one object only"),
         (UNKNOWN, "--conductivity heart=2 --no-such-option", "--no-such-option"),
         (UNKNOWN, "--source haert", None),

@@ -79,7 +79,7 @@ def source(
 
 def _of_masks(masks: Mapping[Any, Image], *geometry: ArrayLike | None) -> Source:
     if not masks:
-        raise ValueError("there is no mask")
+        raise ValueError("the mapping contains no masks")
     named = []
     for name, mask in masks.items():
         if not isinstance(name, str):

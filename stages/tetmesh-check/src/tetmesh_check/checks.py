@@ -51,7 +51,7 @@ _REQUIRED = {
     "surface_distance": "the maximum distance from the surface to the boundary of the tetrahedra is {told}",
     "quadratic_jacobian": "{value} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
     "current_conserved": (
-        "the currents into and out of a material differ by a share of at most {value:.2g} (limit {limit:g})"
+        "the currents into and out of a material differ by at most {value:.2g} of the maximum current (limit {limit:g})"
     ),
     "solve_converged": "conjugate gradients solved {told}",
 }
@@ -281,7 +281,7 @@ def object_checks(results: dict[str, Any], bodies: int, limits: Limits, max_dist
         told = f"{plain(near)} mm (limit {plain(max_distance)} mm)"
         checks.append(check(f"{start}_distance", distance, max_distance, told=told))
     touching = "; parts of the boundary touch there, which most solvers accept" if loose else ""
-    opened = "" if euler == wanted else "; the tetrahedralizer opened or closed handles or gaps"
+    opened = "" if euler == wanted else "; the tetrahedralizer changed the number of handles or gaps"
     checks.append(check("boundary_manifold", loose, but=touching))
     checks.append(check("euler_characteristic", euler, wanted, but=opened))
     return checks

@@ -62,7 +62,7 @@ def described(problem: Exception) -> StageError:
     return StageError(
         f"{type(problem).__name__}: {problem} ({Path(frame.filename).name}, line {frame.lineno})",
         "this is a fault of the program, or a file of a kind that it does not know",
-        "check the inputs; if they are as they should be, report this message",
+        "check the inputs; if they are correct, report this message",
     )
 
 
@@ -111,7 +111,7 @@ def guarded(tool: str, work: Callable[[], list[str] | None], close: Close = clos
         interrupted = True
         error = StageError(
             f"{tool}: interrupted",
-            "the run was stopped before all was done; nothing half written is left",
+            "the run was stopped before it finished; no incomplete files remain",
             "run the same command again",
         )
     except Exception as problem:

@@ -32,7 +32,7 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
         if error.filename and not Path(error.filename).is_relative_to(tempfile.gettempdir()):
             raise
         raise StageError(
-            f"{tempfile.gettempdir()}: cannot hold temporary files: {error.strerror or error}",
+            f"{tempfile.gettempdir()}: cannot store temporary files: {error.strerror or error}",
             "meshes and volumes pass through this folder from one program to the other",
             "free space there, or set TMPDIR to another folder",
         ) from error

@@ -100,7 +100,7 @@ def _formats(text: str) -> tuple[str, ...]:
     words = tuple(dict.fromkeys(text.split(",")))
     for word in words:
         if word not in FORMATS:
-            raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(FORMATS)}")
+            raise argparse.ArgumentTypeError(f"'{word}' is not one of {', '.join(FORMATS)}")
     return words
 
 

@@ -88,7 +88,7 @@ def check_labels(positions: Points, volume: InputVolume, wanted: list[int] | Non
             _ADVICE,
         )
     if wanted is not None and not np.isin(volume.values, wanted).any():
-        raise StageError(f"labels {wanted} are not in the label volume", "they are what was meshed", _ADVICE)
+        raise StageError(f"labels {wanted} are not in the label volume", "these labels were meshed", _ADVICE)
 
 
 def regions_of(centres: Points, volume: InputVolume, wanted: list[int] | None) -> Labels:

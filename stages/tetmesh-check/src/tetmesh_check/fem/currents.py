@@ -61,7 +61,7 @@ def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
     for name in given:
         if name not in names:
             raise StageError(
-                f"'{name}' is none of the materials of the surface: {', '.join(names)}",
+                f"'{name}' is not a material of the surface: {', '.join(names)}",
                 "--conductivity and --source take their names",
                 "check the name",
             )

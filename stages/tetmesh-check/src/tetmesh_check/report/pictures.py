@@ -106,8 +106,8 @@ def _regions(surface: pv.PolyData, volume: pv.UnstructuredGrid) -> Image.Image:
     region = mesh.cell_data["region"]
     mesh.cell_data["colour"] = colours[region]
     # the materials with the most triangles first
-    numbers, areas = np.unique(region, return_counts=True)
-    names = [(str(table[k]["name"]), colours[k]) for k in numbers[np.argsort(-areas, kind="stable")]]
+    numbers, counts = np.unique(region, return_counts=True)
+    names = [(str(table[k]["name"]), colours[k]) for k in numbers[np.argsort(-counts, kind="stable")]]
     return draw(mesh, _aside(normal, up), up, names=names)
 
 
