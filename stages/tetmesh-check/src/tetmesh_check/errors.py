@@ -66,10 +66,12 @@ def described(problem: Exception) -> StageError:
     )
 
 
-def close(_failed: list[str], error: StageError | None, interrupted: bool) -> int:
-    """End a program that writes no report and has no checks."""
+def close(failed: list[str], error: StageError | None, interrupted: bool) -> int:
+    """End a program that writes no report."""
+    for message in failed:
+        print(f"check failed: {message}", file=sys.stderr)
     if error is None:
-        return 0
+        return 1 if failed else 0
     print(f"error: {error}", file=sys.stderr)
     return 130 if interrupted else 2
 
