@@ -19,8 +19,6 @@ pub(crate) struct Fit {
     regions: Array,
     /// Part of each tetrahedron.
     parts: Array,
-    /// Body of each tetrahedron.
-    bodies: Array,
     /// Tetrahedron behind each triangle; -1 if there is none.
     behind: Array,
     /// Tetrahedron in front of each triangle; -1 if there is none.
@@ -40,7 +38,6 @@ impl Fit {
         Self {
             regions: Array::indices(&found.regions),
             parts: Array::indices(&found.parts),
-            bodies: Array::indices(&found.bodies),
             behind: owners(&found.behind),
             before: owners(&found.before),
             missing: found.missing,

@@ -160,7 +160,7 @@ def test_what_bounds_no_volumes_is_refused(tmp_path: Path) -> None:
 
 def test_an_incomplete_table_is_refused(tmp_path: Path) -> None:
     good = nested_balls((10.0, 5.0), (1, 1), ("body", "heart"))
-    refused(good, tmp_path, "the table knows 0 to 2", material_inside=good.inside + 2)
+    refused(good, tmp_path, "the table contains 0 to 2", material_inside=good.inside + 2)
     refused(good, tmp_path, "not the higher of their two", material_outside=good.inside)
     refused(good, tmp_path, "whole number from 0", material_outside=good.outside - 1)
     path = good.save(tmp_path / "c.vtp")
@@ -171,7 +171,7 @@ def test_an_incomplete_table_is_refused(tmp_path: Path) -> None:
         read_surface(path)
     surface.cell_data.remove("material_outside")
     surface.save(path)
-    with pytest.raises(StageError, match="'material_inside' alone"):
+    with pytest.raises(StageError, match="only the cell array 'material_inside'"):
         read_surface(path)
 
 

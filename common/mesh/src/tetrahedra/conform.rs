@@ -19,9 +19,6 @@ pub struct Conformity {
     /// Part of each tetrahedron. A part is connected through faces and does not cross a triangle.
     /// Parts are numbered in the order of their first tetrahedra.
     pub parts: Vec<u32>,
-    /// Body of each tetrahedron. A body is connected through faces, also across triangles. Bodies
-    /// are numbered in the order of their first tetrahedra.
-    pub bodies: Vec<u32>,
     /// Tetrahedron behind each triangle, or [`NOBODY`]. The triangle is counter-clockwise as seen
     /// from the other side.
     pub behind: Vec<u32>,
@@ -87,11 +84,6 @@ pub fn conform(vertex_count: usize, cells: &[[u32; 4]], triangles: &[[u32; 3]], 
         *known = Some(if known.is_none_or(|other| other == stated) { stated } else { OUTSIDE });
     }
     let regions: Vec<u32> = parts.par_iter().map(|&part| material[part as usize].unwrap_or(OUTSIDE)).collect();
-    let joined = SharedSets::new(count);
-    for [behind, before] in beside.iter().filter(|cells| !cells.contains(&NOBODY)) {
-        joined.join(parts[*behind as usize], parts[*before as usize]);
-    }
-    let body_of_part = joined.numbers(|_| true).0;
     // outside, there must be no tetrahedron
     let region = |cell: u32| if cell == NOBODY { OUTSIDE } else { regions[cell as usize] };
     let fits = |(cells, wanted): (&[u32; 2], &[u32; 2])| {
@@ -107,7 +99,6 @@ pub fn conform(vertex_count: usize, cells: &[[u32; 4]], triangles: &[[u32; 3]], 
         undecided: regions.par_iter().filter(|&&region| region == OUTSIDE).count(),
         behind: beside.iter().map(|cells| cells[0]).collect(),
         before: beside.iter().map(|cells| cells[1]).collect(),
-        bodies: parts.par_iter().map(|&part| body_of_part[part as usize]).collect(),
         regions,
         parts,
     }

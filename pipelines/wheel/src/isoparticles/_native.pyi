@@ -173,7 +173,6 @@ def describe_complex(
 class Fit(TypedDict):
     regions: Integers
     parts: Integers
-    bodies: Integers
     behind: Integers
     before: Integers
     missing: int

@@ -93,10 +93,10 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
         return None
     if len(arrays) == 1:
         between = "a triangle lies between two materials"
-        refuse(f"has the cell array '{next(iter(arrays))}' alone of '{INSIDE}' and '{OUTSIDE}'", between)
+        refuse(f"has only the cell array '{next(iter(arrays))}' of '{INSIDE}' and '{OUTSIDE}'", between)
     for name, values in arrays.items():
         if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
-            whole = f"the cell array '{name}' is not one whole number from 0 a triangle"
+            whole = f"the cell array '{name}' does not have one whole number from 0 for each triangle"
             refuse(whole, "it is the number of a material")
     inside, outside = (values.astype(np.int64) for values in arrays.values())
     meaning = "it says what the numbers of the materials stand for"
@@ -110,7 +110,7 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
         missing = "has no table of materials ('materials' of the text 'meta' in its field data), or two of one name"
         refuse(missing, meaning)
     if inside.max(initial=0) >= len(table):
-        known = f"has a triangle of material {int(inside.max())}; the table knows 0 to {len(table) - 1}"
+        known = f"has a triangle of material {int(inside.max())}; the table contains 0 to {len(table) - 1}"
         refuse(known, meaning)
     wrong = np.flatnonzero(inside <= outside)
     if len(wrong):
@@ -129,8 +129,6 @@ class Conformity(NamedTuple):
     """Material of each tetrahedron, shape ``(m,)``; 0 if the triangles state none or several."""
     parts: Labels
     """Part of each tetrahedron: connected through faces that are not triangles, shape ``(m,)``."""
-    bodies: Labels
-    """Body of each tetrahedron: connected through faces, shape ``(m,)``."""
     behind: Labels
     """Tetrahedron behind each triangle of the interfaces, or :data:`NOBODY`, shape ``(k,)``."""
     before: Labels
