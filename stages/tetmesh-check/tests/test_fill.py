@@ -148,9 +148,7 @@ def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, mon
     assert points[-1, 2] > 1.0
 
 
-def test_a_boundary_that_strays_is_made_again_in_a_smaller_envelope(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_distant_boundary_leads_to_a_smaller_envelope(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told, asked, points = program(tmp_path, monkeypatch, [], [filled(1.05, 0.0), filled(1.0, 0.1)])
     assert asked.envelopes == [1.0, 0.5]
     assert told["method"] == "ftetwild"

@@ -193,7 +193,7 @@ def test_time_limit_ends_the_tetrahedralizer(tmp_path: Path, run: Run, method: s
         "ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--method", method, "--max-seconds", 2, "--report", "r.json"
     )  # fmt: skip
     assert done.returncode == 2
-    assert "ended after 2 s" in done.stderr
+    assert "stopped after 2 s" in done.stderr
     assert "--max-seconds" in done.stderr
     assert time.monotonic() - started < 45
     assert not (tmp_path / "ball.vtu").exists()

@@ -98,7 +98,7 @@ def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     for name, words in (
         ("flat", "2 spatial axes"),
         ("large", "32 bits"),
-        ("real", "no whole numbers"),
+        ("real", "not whole numbers"),
         ("none", "no label but 0"),
         ("broken", "cut short|header"),
         ("absent", "cannot read"),

@@ -70,7 +70,7 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
         If the file has no such field, is two-dimensional, has values that are not finite, or does
         not contain the object.
     """
-    why = "mid-edge nodes are brought onto the surface where that distance is 0"
+    why = "mid-edge nodes are moved to the zero set of F"
     advice = "give the file that distfield wrote for this surface"
     image, field = _read_field(path, DISTANCE, why, advice, -np.inf)
     step = np.asarray(image.direction_matrix) * image.spacing

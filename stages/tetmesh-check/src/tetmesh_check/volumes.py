@@ -94,7 +94,9 @@ def read_label_volume(path: Path) -> InputVolume:
     is_real = not np.issubdtype(values.dtype, np.integer)
     bad = int((~np.isfinite(values) | (values != np.round(values))).sum()) if is_real else 0
     if bad:
-        raise StageError(f"{path}: {bad} of {values.size} values are no whole numbers", "labels are", advice)
+        raise StageError(
+            f"{path}: {bad} of {values.size} values are not whole numbers", "labels must be whole numbers", advice
+        )
     limits = np.iinfo(np.int32)
     if values.size and not limits.min <= values.min() <= values.max() <= limits.max:
         raise StageError(

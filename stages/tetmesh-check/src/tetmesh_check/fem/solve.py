@@ -59,7 +59,7 @@ def refuse_missing(mode: str, source: str | None) -> None:
     if asked and (missing := _missing()):
         raise StageError(
             f"{missing}: not installed",
-            "--solve yes and --source solve problems on the tetrahedra with it",
+            "--solve yes and --source solve problems on the tetrahedra with these packages",
             f"{_INSTALL}, or leave out these options",
         )
 

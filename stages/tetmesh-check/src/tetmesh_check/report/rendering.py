@@ -108,7 +108,7 @@ def _finish(process: Popen[str]) -> tuple[list[str], str]:
         told, errors = process.communicate(timeout=_DRAWING_SECONDS)
     except subprocess.TimeoutExpired:
         process.kill()
-        return process.communicate()[0].split(), f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
+        return process.communicate()[0].split(), f"the drawing process was stopped after {_DRAWING_SECONDS:g} s"
     words = errors.strip().splitlines()
     raised = process.returncode == 1 and words
     return told.split(), words[-1] if raised else f"the drawing process ended with code {process.returncode}"

@@ -34,7 +34,7 @@ WORKER = Worker(
     module="tetmesh_check.tets.tetgen",
     library="tetgen",
     when_it_fails="try --method hxt or --method ftetwild",
-    when_it_is_missing="it is AGPL-3.0-or-later, so that only you can decide to have it: python -m pip install "
+    when_it_is_missing="it is AGPL-3.0-or-later, so it is not installed by default: python -m pip install "
     "--require-hashes -r stages/tetmesh-check/requirements-tetgen.lock; or use --method hxt",
     shown={},
 )

@@ -30,7 +30,7 @@ WORKER = Worker(
     module="tetmesh_check.tets.tetwild",
     library="pytetwild",
     when_it_fails="try a larger --tet-size-factor or a larger --envelope, or a machine with more memory",
-    when_it_is_missing="the environment is not whole: make it again with stages/tetmesh-check/setup-env.sh",
+    when_it_is_missing="the environment is incomplete; recreate it with stages/tetmesh-check/setup-env.sh",
     shown={
         "pass": r"/+ pass (\d+) /+",
         "tetrahedra": r"#t = (\d+)",

@@ -74,7 +74,7 @@ class Worker:
 
     def unavailable(self, reason: str) -> UnavailableError:
         """Return the error for a library that is missing or incomplete."""
-        why = "it is the tetrahedralizer that is to fill the surface; nothing was written"
+        why = "it fills the surface with tetrahedra; nothing was written"
         return UnavailableError(f"{self.name} is not available: {reason}", why, self.when_it_is_missing)
 
     def refuse_missing(self) -> None:
@@ -193,9 +193,9 @@ class Runner:
             finally:
                 process.kill()
         raise TimeLimitError(
-            f"the tetrahedralizer ({worker.name}) was ended after {self._max_seconds:g} s, its time limit (--max-seconds)",
+            f"the tetrahedralizer ({worker.name}) was stopped after {self._max_seconds:g} s, its time limit (--max-seconds)",
             "without it there is no volume mesh; nothing was written",
-            f"its log is {self.log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
+            f"its log is {self.log}; raise --max-seconds, or use larger tetrahedra with --tet-size-factor",
         )
 
     def said(self) -> str:
@@ -204,7 +204,7 @@ class Runner:
 
     def _failure(self, worker: Worker, code: int) -> StageError | OSError:
         """Return the error for the exit code of a child without a result."""
-        lines = [line for line in self.said().splitlines() if line.strip()] or ["it said nothing"]
+        lines = [line for line in self.said().splitlines() if line.strip()] or ["it printed nothing"]
         if code == _UNAVAILABLE:
             return worker.unavailable(lines[-1])
         if code == _NO_ROOM:
