@@ -5,6 +5,7 @@ use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
 use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
+use glam::DVec3;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -19,6 +20,9 @@ pub struct ReadOptions<'a> {
     /// Description, number or UID of the series to read from a folder of DICOM files. Required only
     /// if the folder contains several series.
     pub series: Option<&'a str>,
+    /// Distance in mm between neighbouring voxel centres along each axis, always positive. Only for
+    /// files that do not contain it.
+    pub spacing: Option<DVec3>,
 }
 
 /// The supported formats of volume files.
@@ -47,7 +51,7 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
 /// requested from a file.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if path.is_dir() {
-        return read_folder(path, options.series);
+        return read_folder(path, options);
     }
     // if this is the voxel file of a NIfTI pair, start from its header
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
@@ -59,13 +63,14 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
         Format::Nifti => nifti::read_nifti,
         Format::VtkImage => vti::read_vti,
     };
-    without_series(path, options.series)?;
+    without_series(path, options)?;
+    without_spacing(path, options)?;
     read(path)
 }
 
 /// Fails if a series is requested from anything but a folder of DICOM files.
-fn without_series(path: &Path, series: Option<&str>) -> Result<()> {
-    match series {
+fn without_series(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
+    match options.series {
         Some(series) => Err(bad(
             path,
             format!("has no series, and '{series}' was requested"),
@@ -76,8 +81,24 @@ fn without_series(path: &Path, series: Option<&str>) -> Result<()> {
     }
 }
 
+/// Fails if a spacing is given for a file that contains one.
+fn without_spacing(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
+    match options.spacing {
+        Some(spacing) => Err(bad(
+            path,
+            format!(
+                "contains the spacing of its voxels, and {} x {} x {} mm was given",
+                spacing.x, spacing.y, spacing.z
+            ),
+            "a second spacing would contradict that of the file",
+            "leave out the spacing; if that of the file is wrong, correct the file, for example with 3D Slicer",
+        )),
+        None => Ok(()),
+    }
+}
+
 /// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks.
-fn read_folder(folder: &Path, series: Option<&str>) -> Result<Volume> {
+fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
     let mut entries: Vec<PathBuf> = entries.collect::<std::io::Result<_>>().map_err(cannot)?;
@@ -85,11 +106,13 @@ fn read_folder(folder: &Path, series: Option<&str>) -> Result<Volume> {
     let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
     let slices: Vec<PathBuf> = files.iter().filter(|path| dicom::is_dicom_file(path)).cloned().collect();
     if !slices.is_empty() {
-        return dicom::read_series(folder, &slices, series);
+        without_spacing(folder, options)?;
+        return dicom::read_series(folder, &slices, options.series);
     }
     files.retain(|path| masks::mask_name(path).is_some());
     if !files.is_empty() {
-        without_series(folder, series)?;
+        without_series(folder, options)?;
+        without_spacing(folder, options)?;
         return masks::read_masks(folder, &files, read_volume);
     }
     let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();

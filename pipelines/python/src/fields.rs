@@ -242,7 +242,7 @@ pub(crate) struct VolumeFile {
 #[pyfunction]
 #[pyo3(signature = (path, series=None))]
 pub(crate) fn read_volume(py: Python<'_>, path: PathBuf, series: Option<String>) -> PyResult<VolumeFile> {
-    let read = move || read_volume_with(&path, &ReadOptions { series: series.as_deref() });
+    let read = move || read_volume_with(&path, &ReadOptions { series: series.as_deref(), ..ReadOptions::default() });
     let volume = compute(py, read)?.map_err(|error| raised(py, error.into()))?;
     let geometry = &volume.geometry;
     let named = volume.segments.iter().filter(|segment| segment.at.layer == 0);

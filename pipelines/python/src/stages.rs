@@ -58,7 +58,10 @@ pub(crate) fn distance_field(
                 volume
             }
             None => {
-                let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
+                let volume = read_volume_with(
+                    &args.input,
+                    &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() },
+                )?;
                 context.add_input(&args.input, None)?;
                 volume
             }

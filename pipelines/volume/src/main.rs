@@ -45,7 +45,8 @@ struct Input {
 impl Input {
     fn read(&self, context: &Context) -> Result<Volume> {
         let step = context.step("read");
-        let volume = read_volume_with(&self.path, &ReadOptions { series: self.series.as_deref() })?;
+        let volume =
+            read_volume_with(&self.path, &ReadOptions { series: self.series.as_deref(), ..ReadOptions::default() })?;
         context.add_input(&self.path, None)?;
         drop(step);
         volume.remarks.iter().for_each(|remark| context.warn(remark));

@@ -23,7 +23,8 @@ pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     if !known.volume {
         return Ok(Known { materials: names(&args.material), ..known });
     }
-    let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
+    let volume =
+        read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() })?;
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     check_kind(args, &volume, &Context::silent("distfield")).map_err(about_file)?;
     let mut materials = Vec::new();

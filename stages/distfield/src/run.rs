@@ -50,7 +50,8 @@ impl StageArgs for Args {
 /// cannot be read or written, or if the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
-    let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
+    let volume =
+        read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() })?;
     context.add_input(&args.input, None)?;
     drop(step);
     let made = compute(args, volume, context)?;

@@ -149,7 +149,8 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
             && error.remedy().contains("'Lung, sharp' (CT, number 8, 3 files, UID 1.2.9)"),
         "{error}"
     );
-    let choose = |series: &str| read_volume_with(folder.path(), &ReadOptions { series: Some(series) });
+    let choose =
+        |series: &str| read_volume_with(folder.path(), &ReadOptions { series: Some(series), ..ReadOptions::default() });
     for name in ["lung, SHARP", "8", "1.2.9"] {
         let volume = choose(name).expect(name);
         assert_eq!(volume.geometry.size, [3, 2, 3]);
@@ -181,13 +182,15 @@ fn series_that_are_not_volumes_do_not_prevent_reading() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
     let folder = folder_of(&mixed());
     for series in [None, Some("thorax 1.0"), Some("7"), Some("1.2.3")] {
-        let volume = read_volume_with(folder.path(), &ReadOptions { series }).unwrap_or_else(|error| panic!("{error}"));
+        let volume = read_volume_with(folder.path(), &ReadOptions { series, ..ReadOptions::default() })
+            .unwrap_or_else(|error| panic!("{error}"));
         assert_eq!((&volume.voxels, &volume.geometry), (&expected.voxels, &expected.geometry), "{series:?}");
         let remarks = volume.remarks.join("; ");
         assert!(volume.remarks.len() == 2 && remarks.contains("'screen' (CT, number 7"), "{remarks}");
         assert!(remarks.contains("(SEG, number 300") && remarks.contains("19 frames"), "{remarks}");
     }
-    let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
+    let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300"), ..ReadOptions::default() })
+        .expect_err("a segmentation");
     assert!(error.to_string().contains("contains 19 frames"), "{error}");
     // a single slice, such as a localizer, is not a stack, so the choice remains unambiguous
     let mut slices = stack();

@@ -102,7 +102,8 @@ fn folders_that_are_not_masks_are_refused() {
     let one = || bytes(&lps, |p| p.x > 0.5);
     let refused = |masks: &[(&str, &Geometry, Voxels)], series: Option<&str>| {
         let folder = folder_of(masks);
-        let error = read_volume_with(folder.path(), &ReadOptions { series }).expect_err("refused");
+        let error =
+            read_volume_with(folder.path(), &ReadOptions { series, ..ReadOptions::default() }).expect_err("refused");
         [error.to_string(), error.reason(), error.remedy()].join("; ")
     };
     let labels = Voxels::I32((0..27).collect());
