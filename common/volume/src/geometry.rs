@@ -139,4 +139,15 @@ impl Geometry {
         let corner = self.index_to_grid(DVec3::from_array(first.map(|n| n as f64)));
         Self { size, origin: self.grid_to_world(corner), ..self.clone() }
     }
+
+    /// Returns the grid of the blocks of `factors` voxels. Its nodes are the centres of the blocks.
+    pub fn downsampled(&self, factors: [usize; 3]) -> Self {
+        let factor = DVec3::from_array(factors.map(|n| n as f64));
+        Self {
+            size: std::array::from_fn(|axis| self.size[axis] / factors[axis]),
+            spacing: self.spacing * factor,
+            origin: self.grid_to_world(self.index_to_grid(0.5 * (factor - 1.0))),
+            ..self.clone()
+        }
+    }
 }

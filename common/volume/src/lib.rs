@@ -24,6 +24,7 @@
 //! # Ok::<(), isoparticles_volume::Error>(())
 //! ```
 
+mod crop;
 mod data_files;
 mod dicom;
 mod error;
@@ -39,11 +40,13 @@ mod segments;
 mod shear;
 mod units;
 mod volume;
+mod voxel_box;
 mod voxel_data;
 mod voxels;
 pub mod vti;
 pub mod vtk_xml;
 
+pub use crop::Crop;
 pub use data_files::data_files;
 pub use error::{Content, Error, Result};
 pub use geometry::{Geometry, Space};
@@ -52,5 +55,6 @@ pub use read::{ReadOptions, read_volume, read_volume_with};
 pub use segments::{LayerLabel, Segment};
 pub use shear::Shear;
 pub use volume::Volume;
-pub use voxels::{Endian, ScalarType, Voxels};
+pub use voxel_box::{CutFaces, VoxelBox};
+pub use voxels::{Endian, Pooling, ScalarType, Voxels};
 pub use vti::write_volume;

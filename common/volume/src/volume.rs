@@ -4,7 +4,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Geometry;
 use crate::segments::{LayerLabel, Segment};
-use crate::voxels::Voxels;
+use crate::voxels::{Blocks, Pooling, Voxels};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -43,6 +43,16 @@ impl Volume {
             voxels.crop(whole, first, size);
         }
         self.geometry = self.geometry.cropped(first, size);
+    }
+
+    /// Turns each block of `factors` voxels into one voxel at the centre of the block, in all
+    /// layers. Drops the voxels at the far ends of the axes that do not fill a block.
+    pub fn downsample(&mut self, factors: [usize; 3], how: Pooling) {
+        let blocks = Blocks { grid: self.geometry.size, factors };
+        for voxels in std::iter::once(&mut self.voxels).chain(&mut self.more_layers) {
+            *voxels = voxels.pool(blocks, how);
+        }
+        self.geometry = self.geometry.downsampled(factors);
     }
 
     /// Returns the number of layers, which is at least 1.
@@ -190,7 +200,7 @@ impl Volume {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
+    use glam::{DMat3, DVec3};
 
     /// Creates a volume with two layers. The first contains a lung (1) and a heart (2), and the
     /// second a vessel (1) that overlaps both.
@@ -225,6 +235,26 @@ mod tests {
         assert_eq!(overlapping().combinations(number), BTreeMap::from(counts));
         let same = [(vec![], 4), (vec![7], 4)];
         assert_eq!(overlapping().combinations(|at| 7 * u16::from(at.label != 0)), BTreeMap::from(same));
+    }
+
+    #[test]
+    fn blocks_of_voxels_keep_their_place_in_the_world() {
+        let geometry = Geometry {
+            directions: DMat3::from_cols(DVec3::new(0.8, 0.6, 0.0), DVec3::new(-0.6, 0.8, 0.0), DVec3::Z),
+            origin: DVec3::new(-120.5, 33.25, 700.0),
+            ..Geometry::axis_aligned([7, 8, 5], DVec3::new(0.7, 0.9, 2.5))
+        };
+        let mut volume = Volume::new(geometry.clone(), Voxels::U8(vec![0; 280]));
+        volume.more_layers.push(volume.voxels.clone());
+        volume.downsample([3, 4, 1], Pooling::MostFrequent);
+        let small = &volume.geometry;
+        assert_eq!((small.size, volume.layers().map(Voxels::len).collect()), ([2, 2, 5], vec![20, 20]));
+        for n in 0..20 {
+            let [i, j, k] = [n % 2 * 3, n / 2 % 2 * 4, n / 4];
+            let of_block = (0..12).map(|m| geometry.linear(i + m % 3, j + m / 3, k));
+            let mean = of_block.map(|n| geometry.grid_to_world(geometry.node_to_grid(n))).sum::<DVec3>() / 12.0;
+            assert!(small.grid_to_world(small.node_to_grid(n)).distance(mean) < 1e-9, "block {n}");
+        }
     }
 
     #[test]

@@ -111,6 +111,12 @@ macro_rules! with_type {
     };
 }
 
+// below the macros that it uses
+mod pool;
+
+pub(crate) use pool::Blocks;
+pub use pool::Pooling;
+
 impl ScalarType {
     /// Returns the size of a value in bytes.
     pub fn bytes(self) -> usize {
