@@ -6,13 +6,14 @@
 //! [`selection`] resolves the labels that a user specifies. [`classes`] assigns the voxels to
 //! objects, [`boundary`] measures their surfaces, [`mod@parts`] counts their connected parts,
 //! [`extent`] computes their bounding boxes, and [`mod@cost`] predicts vertices, time and memory.
-//! [`thresholds`] proposes iso values, [`orientation`] names the axes, and [`text`] formats the
-//! description.
+//! [`input`] defines the options for the volume to read. [`thresholds`] proposes iso values,
+//! [`orientation`] names the axes, and [`text`] formats the description.
 
 pub mod boundary;
 pub mod classes;
 pub mod cost;
 pub mod extent;
+pub mod input;
 pub mod kind;
 pub mod orientation;
 pub mod parts;

@@ -8,7 +8,8 @@ use isoparticles_field::background::{BackgroundMesh, WorldGrid};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::{CubicSpline, distance_estimate};
 use isoparticles_mesh::tetrahedra::quadratic::{self, Quadratic};
-use isoparticles_volume::{Geometry, Image, ReadOptions, Space, read_volume_with};
+use isoparticles_survey::input::{InputArgs, Spacing};
+use isoparticles_volume::{Geometry, Image, Space};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -238,12 +239,17 @@ pub(crate) struct VolumeFile {
 }
 
 /// Reads a volume in any format that `distfield` reads. `series` selects a series of a folder of
-/// DICOM slices.
+/// DICOM slices. `spacing` is the spacing of a file that does not contain it, mm.
 #[pyfunction]
-#[pyo3(signature = (path, series=None))]
-pub(crate) fn read_volume(py: Python<'_>, path: PathBuf, series: Option<String>) -> PyResult<VolumeFile> {
-    let read = move || read_volume_with(&path, &ReadOptions { series: series.as_deref(), ..ReadOptions::default() });
-    let volume = compute(py, read)?.map_err(|error| raised(py, error.into()))?;
+#[pyo3(signature = (path, series=None, spacing=None))]
+pub(crate) fn read_volume(
+    py: Python<'_>,
+    path: PathBuf,
+    series: Option<String>,
+    spacing: Option<[f64; 3]>,
+) -> PyResult<VolumeFile> {
+    let input = InputArgs { path, series, spacing: spacing.map(Spacing), ..InputArgs::default() };
+    let volume = compute(py, move || input.read())?.map_err(|error| raised(py, error))?;
     let geometry = &volume.geometry;
     let named = volume.segments.iter().filter(|segment| segment.at.layer == 0);
     Ok(VolumeFile {

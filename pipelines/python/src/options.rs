@@ -45,7 +45,7 @@ fn of_command(command: &Command) -> Vec<Value> {
 fn is_for_library(arg: &Arg) -> bool {
     let name = arg.get_long().unwrap_or_default();
     let fits = match arg.get_help_heading() {
-        Some(FILES) => name == "series",
+        Some(FILES) => ["series", "crop", "downsample"].contains(&name),
         Some(SHARED_OPTIONS) => SHARED.contains(&name),
         _ => name != "list-adapters",
     };

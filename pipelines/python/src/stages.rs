@@ -13,7 +13,6 @@ use isoparticles_stage::cli::check::{Known, parse};
 use isoparticles_stage::cli::{Context, Listener, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::history::file_name;
-use isoparticles_volume::{ReadOptions, read_volume_with};
 use pyo3::prelude::*;
 use serde_json::json;
 use std::ffi::OsString;
@@ -49,24 +48,16 @@ pub(crate) fn distance_field(
     use isoparticles_distfield::run::{Args, compute};
     let volume = volume.map(|volume| volume.get().take()).transpose()?;
     run(py, "distfield", words, Known::default(), watch, move |args: &Args, context| {
-        let step = context.step("read");
         let volume = match volume {
             Some(volume) => {
-                let hash =
-                    hash(&volume).map_err(|error| Error::file(&args.input, "hash", &error, "report this bug"))?;
-                context.add_value(file_name(&args.input), hash, None);
+                let _step = context.step("read");
+                let path = &args.input.path;
+                let hash = hash(&volume).map_err(|error| Error::file(path, "hash", &error, "report this bug"))?;
+                context.add_value(file_name(path), hash, None);
                 volume
             }
-            None => {
-                let volume = read_volume_with(
-                    &args.input,
-                    &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() },
-                )?;
-                context.add_input(&args.input, None)?;
-                volume
-            }
+            None => args.input.load(context)?,
         };
-        drop(step);
         let made = compute(args, volume, context)?;
         Ok((Value::Distance(made.distance), made.failed))
     })

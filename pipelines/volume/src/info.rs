@@ -1,11 +1,11 @@
 //! Describes a volume: size, orientation, kind (scan or labels), values, labels with their volumes,
 //! proposed iso values, and the predicted cost of meshing each object.
 
-use crate::Input;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
-use isoparticles_survey::kind::KindChoice;
+use isoparticles_survey::input::InputArgs;
+use isoparticles_survey::kind::{Kind, KindChoice};
 use isoparticles_survey::selection::Selection;
 use isoparticles_survey::{Inside, Wishes, examine};
 use serde_json::{Value, json};
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    input: Input,
+    input: InputArgs,
     /// Write the description as JSON to this file; `-` writes it to stdout instead of the text
     #[arg(long, value_name = "FILE.json|-", help_heading = FILES)]
     json: Option<PathBuf>,
@@ -51,17 +51,19 @@ impl Args {
     }
 
     pub(crate) fn parameters(&self) -> Value {
-        json!({
+        let mut parameters = json!({
             "iso": self.iso, "labels": self.labels.as_ref().map(Selection::to_string), "kind": self.kind.given(),
-            "series": self.input.series,
-        })
+        });
+        self.input.add_to(&mut parameters);
+        parameters
     }
 }
 
 /// Examines the volume and prints the description.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<()> {
-    let volume = args.input.read(context)?;
-    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.path.display(), error.what), ..error };
+    let object = args.iso.map(|_| Kind::Scan).or(args.labels.as_ref().map(|_| Kind::Labels));
+    let volume = args.input.load_part(args.kind.given().or(object), context)?;
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.name(), error.what), ..error };
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     let wishes = Wishes { labels, iso: args.iso.map(|iso| (iso, args.inside)), kind: args.kind.given() };
     let info = examine(&volume, &wishes, context)?;

@@ -4,10 +4,8 @@
 mod convert;
 mod info;
 
-use isoparticles_stage::cli::{CommonArgs, Context, FILES, Outcome, StageArgs, run_stage};
-use isoparticles_stage::error::Result;
-use isoparticles_volume::{ReadOptions, Volume, read_volume_with};
-use serde_json::{Value, json};
+use isoparticles_stage::cli::{CommonArgs, Outcome, StageArgs, run_stage};
+use serde_json::Value;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -30,30 +28,6 @@ enum Verb {
     Convert(convert::Args),
 }
 
-/// The volume to read.
-#[derive(Clone, Debug, clap::Args)]
-struct Input {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
-    #[arg(value_name = "VOLUME", help_heading = FILES)]
-    path: PathBuf,
-    /// Series to read if the folder contains several, given by its description, number or UID
-    #[arg(long, value_name = "NAME", help_heading = FILES)]
-    series: Option<String>,
-}
-
-impl Input {
-    fn read(&self, context: &Context) -> Result<Volume> {
-        let step = context.step("read");
-        let volume =
-            read_volume_with(&self.path, &ReadOptions { series: self.series.as_deref(), ..ReadOptions::default() })?;
-        context.add_input(&self.path, None)?;
-        drop(step);
-        volume.remarks.iter().for_each(|remark| context.warn(remark));
-        Ok(volume)
-    }
-}
-
 impl StageArgs for Args {
     fn common(&self) -> &CommonArgs {
         match &self.verb {
@@ -72,7 +46,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         match &self.verb {
             Verb::Info(args) => args.parameters(),
-            Verb::Convert(args) => json!({ "series": args.input.series }),
+            Verb::Convert(args) => args.parameters(),
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::materials::MaterialChoice;
 use crate::materials::overlaps::Overlap;
 use crate::{Border, Inside, Keep};
 use isoparticles_stage::cli::{CommonArgs, FILES, METHOD};
+use isoparticles_survey::input::InputArgs;
 use isoparticles_survey::kind::KindChoice;
 use isoparticles_survey::selection::Selection;
 use serde_json::{Value, json};
@@ -28,13 +29,9 @@ use std::path::PathBuf;
     after_help = "Example: the tooth in a CT scan (the iso value may be an integer)\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a separate material\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
 )]
 pub struct Args {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
-    #[arg(value_name = "IN.nrrd", help_heading = FILES)]
-    pub input: PathBuf,
-    /// Series to read if the folder contains several, given by its description, number or UID
-    #[arg(long, value_name = "NAME", help_heading = FILES)]
-    pub series: Option<String>,
+    /// The options for the volume to read.
+    #[command(flatten)]
+    pub input: InputArgs,
     /// VTK image file to write: the distance field F (mm) or, with --material, one field for each
     /// material
     #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
@@ -152,9 +149,7 @@ impl Args {
         }
         parameters["grid"] = json!(grid_name(self.grid));
         self.scale.add_to(&mut parameters);
-        if let Some(series) = &self.series {
-            parameters["series"] = json!(series);
-        }
+        self.input.add_to(&mut parameters);
         parameters
     }
 }

@@ -3,13 +3,12 @@
 
 use crate::args::Args;
 use crate::choose::Object;
-use crate::input::check_kind;
 use crate::materials::check_options;
 use crate::materials::choice::{names, resolve};
+use crate::reduce::reduce;
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_volume::{ReadOptions, read_volume_with};
 
 /// Checks the options and adds the names of the materials to `known`.
 ///
@@ -23,10 +22,8 @@ pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     if !known.volume {
         return Ok(Known { materials: names(&args.material), ..known });
     }
-    let volume =
-        read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() })?;
-    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
-    check_kind(args, &volume, &Context::silent("distfield")).map_err(about_file)?;
+    let volume = reduce(args, args.input.read()?, &Context::silent("distfield"))?;
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.name(), error.what), ..error };
     let mut materials = Vec::new();
     if !args.material.is_empty() {
         let chosen = resolve(&args.material, &volume).map_err(about_file)?;

@@ -4,7 +4,7 @@
 //! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
 use crate::changes::{Changes, Event, Kind, SPECK_SHARE};
-use crate::crop::{Grid, VoxelBox, cut_in_turn};
+use crate::crop::{Grid, cut_in_turn};
 use crate::field::Demands;
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
@@ -17,7 +17,7 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::material_sizes::GivenSize;
 use isoparticles_stage::quality::Quality;
 use isoparticles_survey::selection::noted;
-use isoparticles_volume::{Geometry, Image, LayerLabel, Volume};
+use isoparticles_volume::{Geometry, Image, LayerLabel, Volume, VoxelBox};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 

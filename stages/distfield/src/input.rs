@@ -2,13 +2,13 @@
 //! that exceeds the available memory.
 
 use crate::args::Args;
-use crate::crop::{CutFaces, Grid, VoxelBox, crop};
+use crate::crop::{Grid, crop, on_coarse_nodes};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_survey::cost::distfield_bytes;
 use isoparticles_survey::kind::{Kind, KindChoice, judge};
 use isoparticles_survey::survey::Survey;
-use isoparticles_volume::Volume;
+use isoparticles_volume::{CutFaces, Volume, VoxelBox};
 
 /// Rejects labels for a scan and an iso value for a label map, unless `--kind` is given. Warns if
 /// the kind is uncertain or the labels contain NaN voxels. Also warns if an iso value is given for
@@ -27,7 +27,7 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     let survey = Survey::of(&volume.voxels, &volume.geometry);
     let judged = judge(&survey, volume.segments.len());
     drop(step);
-    let (input, reason) = (args.input.display(), &judged.reason);
+    let (input, reason) = (args.input.path.display(), &judged.reason);
     let materials = args.material.first().map(|choice| format!("--material {choice}"));
     let labels = args.labels.as_ref().map(|labels| format!("--labels {labels}")).or(materials);
     match (labels, args.iso, judged.kind) {
@@ -80,7 +80,7 @@ pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<
     context.check_memory(
         needed,
         &format!("a field of {nx} x {ny} x {nz} nodes"),
-        "crop the volume to the object, or resample it",
+        "set CROP (--crop) to a region around the object, or DOWNSAMPLE (--downsample) to 2 or more",
     )
 }
 
@@ -96,7 +96,7 @@ pub(crate) fn take_out(
     context: &Context,
 ) -> Result<CutFaces> {
     let size = volume.geometry.size;
-    let kept = found.filter(|_| args.grid == Grid::Object).map(|object| object.with_room(room, size).on_coarse_nodes());
+    let kept = found.filter(|_| args.grid == Grid::Object).map(|object| on_coarse_nodes(object.with_room(room, size)));
     check_room(args, kept.map_or(size, |kept| kept.size()), context)?;
     Ok(kept.map_or_else(CutFaces::default, |kept| crop(volume, kept)))
 }

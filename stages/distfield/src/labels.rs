@@ -9,7 +9,6 @@
 //! Parts that touch along an edge are connected; parts that touch only at a corner are not.
 
 use crate::bits::Bits;
-use crate::crop::CutFaces;
 use crate::field::{Demands, Redistanced};
 use crate::level::{Clearance, Smoothing, contacts, level_set};
 use crate::mask::Mask;
@@ -19,7 +18,7 @@ use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::Image;
+use isoparticles_volume::{CutFaces, Image};
 use rayon::prelude::*;
 
 /// Standard deviation, in voxels along each axis, of the Gaussian that smooths the steps between

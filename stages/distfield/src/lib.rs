@@ -33,6 +33,7 @@ pub mod mask;
 pub mod materials;
 pub mod nearest;
 pub mod occupancy;
+mod reduce;
 mod report;
 pub mod run;
 pub mod runs;

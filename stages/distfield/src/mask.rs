@@ -1,9 +1,8 @@
 //! The mask of a label map: one bit per node, set if the node is inside the object.
 
 use crate::bits::Bits;
-use crate::crop::CutFaces;
 use crate::runs::Runs;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::{CutFaces, Geometry, Image};
 
 /// The inside nodes of a grid.
 pub struct Mask {

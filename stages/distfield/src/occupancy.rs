@@ -5,9 +5,8 @@
 //! value (metal, air) therefore have little effect. Labels and scalar volumes are handled alike.
 
 use crate::Inside;
-use crate::crop::VoxelBox;
 use crate::mask::Mask;
-use isoparticles_volume::{Geometry, Voxels};
+use isoparticles_volume::{Geometry, VoxelBox, Voxels};
 use rayon::prelude::*;
 
 /// Occupancy of a voxel that is entirely inside.

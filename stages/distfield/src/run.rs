@@ -4,10 +4,11 @@
 pub use crate::args::Args;
 use crate::check::check;
 use crate::choose::{Object, ScaleChoice, choose_scale, extract_scaled, inside_name};
-use crate::crop::{CutFaces, room_of_spline};
-use crate::input::{check_kind, take_out};
+use crate::crop::room_of_spline;
+use crate::input::take_out;
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
+use crate::reduce::reduce;
 use crate::report::{LISTED_SURFACES, check_volume, describe, failed_checks, tell_grid};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
@@ -20,7 +21,7 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
 use isoparticles_survey::selection::noted;
-use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
+use isoparticles_volume::{CutFaces, Geometry, Image, LayerLabel, Volume};
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -49,11 +50,7 @@ impl StageArgs for Args {
 /// If the input does not contain the selected surface, if there is not enough memory, if a file
 /// cannot be read or written, or if the run is interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    let step = context.step("read");
-    let volume =
-        read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() })?;
-    context.add_input(&args.input, None)?;
-    drop(step);
+    let volume = args.input.load(context)?;
     let made = compute(args, volume, context)?;
     let step = context.step("write");
     made.distance.write(&args.output)?;
@@ -70,8 +67,8 @@ pub struct Made {
     pub failed: Vec<String>,
 }
 
-/// Computes F, or the indicators of several materials, from a volume. Messages call the volume by
-/// the path in `args`.
+/// Computes F, or the indicators of several materials, from a whole volume, which is first cropped
+/// and downsampled. Messages call the volume by the path in `args`.
 ///
 /// # Errors
 /// If the volume does not contain the selected surface, if there is not enough memory, or if the
@@ -80,8 +77,8 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     for remark in &volume.remarks {
         context.warn(remark);
     }
-    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
-    check_kind(args, &volume, context).map_err(about_file)?;
+    let volume = reduce(args, volume, context)?;
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.name(), error.what), ..error };
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;

@@ -6,7 +6,6 @@
 //! computed from labels or with `--scale` use the same code (`from_level`).
 
 use crate::cap::BorderBox;
-use crate::crop::{CutFaces, VoxelBox};
 use crate::field::{Demands, LeastDistances, Redistanced, redistance};
 use crate::samples::{Source, VANISHING_SLOPE, first_order_distance};
 use crate::{Border, Inside, Keep};
@@ -15,7 +14,7 @@ use glam::DVec3;
 use isoparticles_field::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Image, Volume, Voxels};
+use isoparticles_volume::{CutFaces, Geometry, Image, Volume, VoxelBox, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
 

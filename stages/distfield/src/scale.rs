@@ -8,7 +8,7 @@
 //! [`crate::changes`] reports their number, volume and position.
 
 use crate::changes::{Changes, remove_crumbs};
-use crate::crop::{CutFaces, Grid, VoxelBox, room_of_spline};
+use crate::crop::{Grid, on_coarse_nodes, room_of_spline};
 use crate::level::{Smoothing, level_set};
 use crate::occupancy::Occupancy;
 use crate::{Border, Keep};
@@ -16,7 +16,7 @@ use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::Result;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::{CutFaces, Geometry, Image, VoxelBox};
 use rayon::prelude::*;
 use std::f64::consts::{LN_2, PI};
 
@@ -88,7 +88,7 @@ impl Boxed {
         let Some(object) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
         let sigma = 0.5 * scale.length / geometry.spacing;
-        let kept = object.with_room(room_round(sigma), geometry.size).on_coarse_nodes();
+        let kept = on_coarse_nodes(object.with_room(room_round(sigma), geometry.size));
         let (first, size) = (kept.low, kept.size());
         let before = Occupancy {
             geometry: geometry.cropped(first, size),
@@ -142,7 +142,7 @@ pub fn scaled(occupancy: Occupancy, scale: Scale, keep: Keep, grid: Grid) -> Res
         Grid::Volume => whole,
         Grid::Object => round_level(&level, size).map_or(whole, |left| {
             let left = VoxelBox { low: add(left.low, first), high: add(left.high, first) };
-            left.with_room(room_of_spline(), geometry.size).on_coarse_nodes()
+            on_coarse_nodes(left.with_room(room_of_spline(), geometry.size))
         }),
     };
     let cut = kept.cut_faces(geometry.size);

@@ -13,7 +13,6 @@ use super::survey::{Survey, distance_limit, survey};
 use crate::args::Args;
 use crate::changes::{Changes, Kind, SPECK_SHARE};
 use crate::choose::ScaleArgs;
-use crate::crop::VoxelBox;
 use crate::input::take_out;
 use crate::labels::LABEL_ROOM;
 use crate::report::{SCALED_VOLUME_LIMITS, VOLUME_LIMITS, tell_grid};
@@ -26,7 +25,7 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::{MaterialsFile, Shown};
 use isoparticles_stage::meta::{self, MaterialsMeta};
-use isoparticles_volume::Volume;
+use isoparticles_volume::{Volume, VoxelBox};
 use serde_json::{Map, Value, json};
 
 /// Maximum number of materials, and of pairs of materials, in the table at the end of a run. It

@@ -11,7 +11,7 @@ use super::grid::{Extent, LabelGrid};
 use super::scaled::{Levels, Made};
 use super::scales::Scales;
 use crate::changes::Changes;
-use crate::crop::VoxelBox;
+use crate::crop::on_coarse_nodes;
 use crate::field::{Demands, Redistanced};
 use crate::labels::{LabelOptions, from_mask_with, room_of_labels};
 use crate::topology::Parts;
@@ -19,7 +19,7 @@ use crate::{Border, Keep};
 use isoparticles_field::materials::{Indicator, Material, MaterialId, Materials};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::{Counter, Interrupted, Monitor, Phase, Silent};
-use isoparticles_volume::Image;
+use isoparticles_volume::{Image, VoxelBox};
 use rayon::prelude::*;
 
 /// Accuracy required of each indicator.
@@ -190,7 +190,7 @@ impl OneMaterial<'_> {
     /// voxels, enlarged by [`room_of_labels`].
     fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
-        VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()
+        on_coarse_nodes(VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size))
     }
 
     /// Computes the indicator at a scale. Also returns the first voxel of its box. The indicator is

@@ -18,7 +18,7 @@ use super::grid::{Extent, LabelGrid};
 use super::scales::Scales;
 use crate::bits::{Bits, Numbering};
 use crate::changes::{Changes, remove_parts};
-use crate::crop::{CutFaces, VoxelBox};
+use crate::crop::on_coarse_nodes;
 use crate::field::Demands;
 use crate::level::{LevelSet, level_set};
 use crate::occupancy::Occupancy;
@@ -31,7 +31,7 @@ use isoparticles_mesh::measure::measure;
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::{CutFaces, Geometry, Image, VoxelBox};
 use rayon::prelude::*;
 
 /// Integer steps per unit of a stored value. Values are between -1 and 1. One step moves a border
@@ -470,7 +470,7 @@ fn smoothed(grid: &LabelGrid, id: MaterialId, extent: &Extent, scale: Scale, roo
     let whole = grid.geometry.size;
     let smoothing = scale.smoothing(&grid.geometry);
     let VoxelBox { low: first, high: last } =
-        VoxelBox { low: extent.low, high: extent.high }.with_room(room, whole).on_coarse_nodes();
+        on_coarse_nodes(VoxelBox { low: extent.low, high: extent.high }.with_room(room, whole));
     let occupancy = Occupancy::of_mask(&grid.mask(first, last, |number| number == id.0));
     let size = occupancy.geometry.size;
     let LevelSet { above, level } = level_set(&occupancy, &smoothing);

@@ -4,14 +4,13 @@
 
 use super::grid::LabelGrid;
 use crate::Border;
-use crate::crop::VoxelBox;
 use glam::DVec3;
 use isoparticles_field::enclosed::enclosed_volumes;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::{Indicators, KNOWN_VOXELS, MaterialId};
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::{Geometry, Image, VoxelBox};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
