@@ -35,7 +35,7 @@ THREADS ?=
 # Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
@@ -166,6 +166,9 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
   SERIES=...    series to mesh, if a folder of DICOM files contains several
+  SPACING=...   voxel spacing, mm, of a file that does not contain it (0.01 or 1,1,2)
+  CROP=...      region to keep: mm:0..50,..,10.. or voxels:0..99,..,.. or a mask file
+  DOWNSAMPLE=.. join this many voxels along each axis (2 or 2,2,1)
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
   ACCEPT_LOSSES=yes  accept materials whose volume a scale changes by more than 10 %; the verdict lists them

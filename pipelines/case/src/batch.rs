@@ -16,6 +16,7 @@ use crate::status::{FORMAT, Problem, Stage, State, Status, VERSION, Verdict};
 use crate::{index, verdict};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
+use isoparticles_volume::Crop;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -250,10 +251,14 @@ impl Batch<'_> {
     }
 
     fn row<'a>(&self, line: u64, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Row {
+        // Volumes are relative to the folder of the list, so a list and its volumes can be moved
+        // together.
+        let is_mask = |value: &str| value.parse().is_ok_and(|crop: Crop| crop.mask().is_some());
         let cell = |(column, value): (&str, &str)| match column {
-            // INPUT is relative to the folder of the list, so a list and its volumes can be moved
-            // together.
-            "INPUT" => format!("INPUT={}", self.list.parent().unwrap_or(Path::new("")).join(value).display()),
+            "CROP" if !is_mask(value) => format!("CROP={value}"),
+            "INPUT" | "CROP" => {
+                format!("{column}={}", self.list.parent().unwrap_or(Path::new("")).join(value).display())
+            }
             _ => format!("{column}={value}"),
         };
         let cells: Vec<String> = cells.filter(|(_, value)| !value.is_empty()).map(cell).collect();

@@ -160,8 +160,8 @@ fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
     let program = programs.bin.join("isoparticles-volume").into_os_string();
     let mut command = vec![program, "info".into(), volume.as_os_str().to_owned()];
-    let series = row.case.as_ref().ok().and_then(|case| case.settings.get("SERIES"));
-    command.extend(series.into_iter().flat_map(|series| ["--series".into(), series.into()]));
+    let reading = row.case.iter().flat_map(|case| stages::words_by_key(&stages::READING_BY_KEY, &case.settings));
+    command.extend(reading.map(OsString::from));
     command.extend(["--json".into(), output.into_os_string(), "--force".into()]);
     command.into_iter().map(text).collect()
 }
@@ -173,6 +173,7 @@ fn inputs_of(stage: &str, case: &Case) -> Vec<PathBuf> {
     };
     paths.extend(inputs::paths_named_in(&case.settings, stages::options_key(stage)));
     if stage == "distfield" {
+        paths.extend(inputs::crop_mask(&case.settings).iter().flat_map(|mask| inputs::paths_of_volume(mask)));
         paths.extend(inputs::paths_named_in(&case.settings, "PHANTOM"));
     }
     paths.iter().map(|path| absolute(path)).collect()

@@ -4,7 +4,7 @@
 use crate::settings::Settings;
 use crate::status::{Identity, Input, Status, VOLUME};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_volume::data_files;
+use isoparticles_volume::{Crop, data_files};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -21,11 +21,30 @@ const OUTPUT_OPTIONS: [&str; 8] =
 /// # Errors
 /// If a file cannot be read.
 pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
-    let mut inputs = vec![input(VOLUME, volume, before)?];
+    with_data(volume, [VOLUME, VOLUME_DATA], before)
+}
+
+/// Returns the mask that CROP names and its data files, if CROP does not describe a box.
+///
+/// # Errors
+/// If a file cannot be read.
+pub fn of_crop(settings: &Settings, before: Option<&Status>) -> Result<Vec<Input>> {
+    crop_mask(settings).map_or(Ok(Vec::new()), |mask| with_data(&mask, ["mask of CROP"; 2], before))
+}
+
+/// Returns the path of the mask that CROP names, if CROP does not describe a box.
+#[must_use]
+pub fn crop_mask(settings: &Settings) -> Option<PathBuf> {
+    settings.get("CROP")?.parse().ok().and_then(|crop: Crop| crop.mask().map(Path::to_path_buf))
+}
+
+/// Returns a volume and its data files, in these two roles.
+fn with_data(volume: &Path, roles: [&str; 2], before: Option<&Status>) -> Result<Vec<Input>> {
+    let mut inputs = vec![input(roles[0], volume, before)?];
     if volume.is_file() {
         // An unreadable header is reported by the stage.
         for path in data_files(volume).unwrap_or_default().iter().filter(|path| path.is_file()) {
-            inputs.push(input(VOLUME_DATA, path, before)?);
+            inputs.push(input(roles[1], path, before)?);
         }
     }
     Ok(inputs)
@@ -40,10 +59,7 @@ pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Resu
     let role = format!("named in {key}");
     let mut inputs = Vec::new();
     for path in files_in_words(&settings.words(key)) {
-        inputs.push(input(&role, &path, before)?);
-        for data in data_files(&path).unwrap_or_default().iter().filter(|path| path.is_file()) {
-            inputs.push(input(&role, data, before)?);
-        }
+        inputs.extend(with_data(&path, [role.as_str(); 2], before)?);
     }
     Ok(inputs)
 }
@@ -84,7 +100,8 @@ fn files_in_words(words: &[String]) -> Vec<PathBuf> {
         for path in parts(value).map(PathBuf::from) {
             // A volume may be a folder of slices, so only options that take a volume accept a
             // folder.
-            let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
+            let takes_volume = name.ends_with("-volume") || name == "--crop";
+            let counts = path.is_file() || (takes_volume && path.is_dir());
             if counts && !found.contains(&path) {
                 found.push(path);
             }

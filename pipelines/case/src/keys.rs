@@ -38,12 +38,23 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 34] = [
+pub const KEYS: [Key; 37] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
     key("PHANTOM", Form::Words, "the shape and options of the phantom program"),
     key("SERIES", Form::Text, "the series of a folder of DICOM files, by description, number or UID"),
+    key(
+        "SPACING",
+        Form::Text,
+        "the distance between voxel centres of a file that does not contain it, mm: 0.01 or 1,1,2",
+    ),
+    key(
+        "CROP",
+        Form::Text,
+        "the region to keep: a box such as mm:0..50,..,10.. or voxels:0..99,..,5.., or a mask file",
+    ),
+    key("DOWNSAMPLE", Form::Text, "the number of voxels to join along each axis: 2 or 2,2,1"),
     key("ISO", Form::Number, "the iso value"),
     key("LABELS", Form::Text, "the labels to mesh"),
     key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),

@@ -5,11 +5,12 @@ use isoparticles_case::batch::{Batch, Ending};
 use isoparticles_case::folder::CaseFolder;
 use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
-use isoparticles_case::stages::{Programs, Volume};
+use isoparticles_case::stages::{Programs, READING_BY_KEY, Volume, words_by_key};
 use isoparticles_case::status::Status;
 use isoparticles_case::{batch, cluster, front, index, keys, name, program, verdict};
 use isoparticles_stage::cli::shell;
 use isoparticles_stage::error::{Error, Result};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -43,8 +44,8 @@ struct Arguments {
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
     known: Vec<String>,
     /// List of the cases in a batch: a CSV file with one column per key and one row per case. INPUT
-    /// is relative to the folder of the list. Settings on the command line apply to rows that do
-    /// not set them.
+    /// and a mask in CROP are relative to the folder of the list. Settings on the command line
+    /// apply to rows that do not set them.
     #[arg(long, value_name = "FILE.csv")]
     list: Option<PathBuf>,
     /// Goal of each case in a batch.
@@ -280,9 +281,9 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
         ));
     }
     let mut words = vec!["info".into(), volume.into_os_string()];
-    for (key, option) in [("SERIES", "--series"), ("LABELS", "--labels"), ("ISO", "--iso"), ("INSIDE", "--inside")] {
-        words.extend(case.settings.get(key).into_iter().flat_map(|value| [option.into(), value.into()]));
-    }
+    let object = [("--labels", "LABELS"), ("--iso", "ISO"), ("--inside", "INSIDE")];
+    let options = [&READING_BY_KEY[..], &object].map(|pairs| words_by_key(pairs, &case.settings));
+    words.extend(options.into_iter().flatten().map(OsString::from));
     match program::run(&programs.bin.join("isoparticles-volume"), &words)? {
         program::Ended::Code(code) => Ok(u8::try_from(code).unwrap_or(2)),
         program::Ended::Signal(_) => Ok(130),

@@ -117,6 +117,9 @@ pub fn plan(
             ("distfield", Volume::At(path)) => inputs::of_volume(path, before)?,
             _ => Vec::new(),
         };
+        if name == "distfield" {
+            inputs.extend(inputs::of_crop(settings, before)?);
+        }
         inputs.extend(inputs::named_in(settings, options_key(name), before)?);
         let options = options(name, settings);
         let hxt = hxt(name, settings);
@@ -185,17 +188,21 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
+/// Options that say how the volume is read, each with the key that sets it.
+pub const READING_BY_KEY: [(&str, &str); 4] =
+    [("--series", "SERIES"), ("--spacing", "SPACING"), ("--crop", "CROP"), ("--downsample", "DOWNSAMPLE")];
+
+/// Returns the words of the options whose keys are set.
+pub fn words_by_key(pairs: &[(&str, &str)], settings: &Settings) -> Vec<String> {
+    let word = |(option, key): &(&str, &str)| Some([(*option).to_owned(), settings.get(key)?.to_owned()]);
+    pairs.iter().filter_map(word).flatten().collect()
+}
+
 /// Returns the options of a stage, each with the key that sets it. If a key is not set, the stage
 /// uses its own default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
-        "distfield" => &[
-            ("--series", "SERIES"),
-            ("--iso", "ISO"),
-            ("--labels", "LABELS"),
-            ("--inside", "INSIDE"),
-            ("--border", "BORDER"),
-        ],
+        "distfield" => &[("--iso", "ISO"), ("--labels", "LABELS"), ("--inside", "INSIDE"), ("--border", "BORDER")],
         "sizefield" => &[
             ("--epsilon", "EPSILON"),
             ("--delta", "DELTA"),
@@ -242,20 +249,14 @@ fn sizes_of_materials(settings: &Settings) -> Vec<String> {
 /// Returns the arguments of a stage that may change its result.
 #[must_use]
 pub fn options(stage: &str, settings: &Settings) -> Vec<String> {
-    let mut words = Vec::new();
-    let mut add = |(option, key): &(&str, &str)| {
-        let value = settings.get(key);
-        words.extend(value.into_iter().flat_map(|value| [(*option).to_owned(), value.to_owned()]));
-        value.is_some()
-    };
-    for pair in options_by_key(stage) {
-        add(pair);
-    }
+    let mut words = if stage == "distfield" { words_by_key(&READING_BY_KEY, settings) } else { Vec::new() };
+    words.extend(words_by_key(options_by_key(stage), settings));
     let more = settings.words(options_key(stage));
     // A scale or quality in DISTFIELD_OPTIONS takes precedence.
     let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
     if stage == "distfield" && !chosen {
-        SCALE_BY_KEY.iter().any(add);
+        let first = SCALE_BY_KEY.iter().find(|(_, key)| settings.get(key).is_some());
+        words.extend(words_by_key(first.map(std::slice::from_ref).unwrap_or_default(), settings));
     }
     if stage == "distfield"
         && let Some(choice) = settings.get("MATERIALS")

@@ -195,3 +195,33 @@ fn a_stopped_run_is_finished_by_the_next() {
     let [one, other] = [&stopped, &unbroken].map(|case| particles(&case.file("particles.bin")));
     assert!(one == other, "the resumed run differs from the unbroken one");
 }
+
+/// A mask in CROP counts by its content, as INPUT does.
+#[test]
+fn another_region_or_resolution_remakes_the_case() {
+    let case = Case::new();
+    let distfield = |variables: &[&str]| {
+        let told = [&["ISO=100", "SCALE=0", "VERBOSITY=-q"], variables].concat();
+        run(&mut case.command("distfield", &told)).expect_success("make distfield");
+        std::fs::metadata(case.file("distfield.vti")).and_then(|file| file.modified()).expect("a field")
+    };
+    let mask = case.folder.path().join("a mask.nrrd");
+    std::fs::copy(&case.volume, &mask).unwrap();
+    let masked = format!("CROP={}", mask.display());
+    let choices: [&[&str]; 5] =
+        [&["CROP=voxels:..,..,..11"], &["CROP=mm:..,..,..12"], &[], &["DOWNSAMPLE=2"], &[&masked, "DOWNSAMPLE=2"]];
+    for choice in choices {
+        let made = distfield(choice);
+        assert_eq!(distfield(choice), made, "nothing changed");
+    }
+    assert_eq!(case.status()["parameters"]["DOWNSAMPLE"], "2");
+    let made = distfield(choices[4]);
+    super::ball(&case.volume);
+    assert_eq!(distfield(choices[4]), made, "the same content");
+    let half = isoparticles_volume::Geometry::axis_aligned([24, 24, 12], glam::DVec3::ONE);
+    super::support::write_phantom(&mask, isoparticles_tests::scene::Shape::Ellipsoid, &half, super::Kind::Label);
+    assert_ne!(distfield(choices[4]), made, "another mask");
+    run(&mut case.command("distfield", &["ISO=100", "CROP=mm:5..1,..,.."])).expect_error(2, &["ends before it starts"]);
+    let info = run(&mut case.command("info", &["CROP=voxels:0..9,..,..", "DOWNSAMPLE=2"]));
+    assert!(info.stdout.contains("5 x 12 x 12"), "{}{}", info.stdout, info.stderr);
+}
