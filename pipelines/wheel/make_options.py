@@ -18,6 +18,7 @@ HEADER = '''"""The keyword arguments of the functions. Made by ``make_options.py
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from os import PathLike
 from typing import Literal, TypedDict
 
 Labels = int | str | Iterable[int | str]
@@ -41,6 +42,8 @@ SPECIAL = {
     "materials": "Materials",
     "size_of_materials": "Sizes",
     "keep": "float | str",
+    "crop": "str | PathLike[str]",
+    "downsample": "int | str | Iterable[int]",
     "max_memory": "int | str",
     "conductivity": "Mapping[str, float] | str | Iterable[str]",
 }

@@ -241,6 +241,33 @@ def test_axes_are_x_y_z_in_the_world(iso: ModuleType) -> None:
         field.spacing[0] = 1
 
 
+def test_arrays_are_cropped_and_downsampled_like_numpy(iso: ModuleType) -> None:
+    x, y, z = np.mgrid[:21, :20, :19]
+    scan = 6.5 - np.sqrt((x - 10) ** 2 + (y - 9.5) ** 2 / 4 + (z - 9) ** 2)
+    labels = np.where(scan > 0, np.where(z > 9, 2, 5), 0).astype(np.uint8)
+    world = {"spacing": (1, 0.5, 2), "origin": (10, 20, 30)}
+    for image, choice in ((scan, {"iso": 0}), (labels, {"labels": [2, 5]})):
+        cropped = iso.distance_field(image, **world, **choice, crop="voxels:4..17,..,4..")
+        plain = iso.distance_field(image[4:18, :, 4:], spacing=(1, 0.5, 2), origin=(14, 20, 38), **choice)
+        assert np.array_equal(cropped.array, plain.array)
+        assert np.allclose(cropped.origin, plain.origin, rtol=0, atol=1e-9)
+        blocks = image[:20, :, :18].reshape(10, 2, 20, 9, 2).transpose(0, 2, 3, 1, 4).reshape(10, 20, 9, 4)
+        if image is scan:
+            pooled = blocks.mean(axis=-1)
+        else:  # of equally frequent labels, argmax takes the smallest
+            counts = np.stack([(blocks == label).sum(axis=-1) for label in range(6)])
+            pooled = counts.argmax(axis=0).astype(np.uint8)
+        small = iso.distance_field(image, **world, **choice, downsample=(2, 1, 2))
+        plain = iso.distance_field(pooled, spacing=(2, 0.5, 4), origin=(10.5, 20, 31), **choice)
+        assert np.allclose(small.array, plain.array, rtol=0, atol=1e-5)
+        assert np.allclose(small.origin, plain.origin, rtol=0, atol=1e-9)
+        assert small.history["parameters"]["downsample"] == [2, 1, 2]
+    mesh = iso.mesh(scan, **world, iso=0, crop="mm:..,..,..48", downsample=2, size=2, backend="cpu")
+    assert mesh.result.vertices[:, 2].max() <= 48 + 2
+    with pytest.raises(iso.Error, match="no voxel centre lies in the region"):
+        iso.distance_field(scan, iso=0, crop="mm:99..,..,..")
+
+
 def test_images_of_other_packages(iso: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     labels = ball()
     options = {"labels": 1}
@@ -322,7 +349,9 @@ def test_masks_by_name_are_the_folder_of_masks(iso: ModuleType, tmp_path: Path) 
         (ball(), {"direction": np.eye(2)}, ValueError, "3 x 3"),
         ([[[1]]], {}, TypeError, "builtins.list"),
         (None, {}, TypeError, "NoneType"),
-        ("v.nrrd", {"spacing": (1, 1, 1)}, TypeError, "only for arrays"),
+        ("v.nrrd", {"origin": (1, 1, 1)}, TypeError, "only for arrays"),
+        ("v.nrrd", {"spacing": (1, -1, 1)}, ValueError, "above 0"),
+        ({"ball": "v.nrrd"}, {"spacing": (1, 1, 1)}, TypeError, "only for arrays"),
     ],
 )
 def test_images_that_are_refused(
@@ -357,7 +386,11 @@ def test_options_become_words_in_their_order(iso: ModuleType) -> None:
         "a/b=0.5",
     ]
     assert words("seed", {"from_": "marching-cubes", "count": 5.0}) == ["--from", "marching-cubes", "--count", "5"]
+    for factors in (2, "2", (2, 2, 2), np.array([2, 2, 2])):
+        assert words("distfield", {"downsample": factors}) in (["--downsample", "2"], ["--downsample", "2,2,2"])
+    assert words("distfield", {"crop": Path("a b.nrrd")}) == ["--crop", "a b.nrrd"]
     for given, kind in [
+        ({"downsample": [2, None]}, TypeError),
         ({"materials": {"a=b": 1}}, ValueError),
         ({"materials": {"a/b": 1}}, ValueError),
         ({"materials": {"": 1}}, ValueError),
@@ -493,6 +526,8 @@ def test_bad_arguments_raise_python_exceptions(iso: ModuleType, field: Any) -> N
         "margin",
         "keep",
         "spacing",
+        "crop",
+        "downsample",
         "origin",
         "direction",
         "name",

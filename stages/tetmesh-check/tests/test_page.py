@@ -345,11 +345,13 @@ def test_pictures_are_transparent_round_the_mesh(case: Path) -> None:
 
 def test_the_facts_of_a_label_volume(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     turned = np.array([[0.0, 0.0, 2.0], [-1.5, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    monkeypatch.setattr(program, "read_scan", lambda *_: volume_with_ball(turned, labels=True))
+    scan = replace(volume_with_ball(turned, labels=True), crop="mm:..20,..,..", downsample=[2, 2, 1])
+    monkeypatch.setattr(program, "read_scan", lambda *_: scan)
     words = made(case / "a&b.status.json", tmp_path / "x.html").words
     for said in (
         "40 \u00d7 36 \u00d7 30", "1.5 \u00d7 1 \u00d7 2 mm", "60 \u00d7 36 \u00d7 60 mm", "towards A, S, L",
         "uint8", "labels: 2, and the background 0", "a <ball>", "Colours are labels",
+        "the region mm:..20,..,..", "before meshing, by 2 \u00d7 2 \u00d7 1 voxels",
     ):  # fmt: skip
         assert said in words
 

@@ -48,7 +48,8 @@ def distance_field(
         and z; an image of SimpleITK, nibabel or PyVista; or a mapping from names to masks, each one
         of these.
     spacing
-        The distances between voxel centres along x, y and z, in mm. Only for arrays. Default: 1.
+        The distances between voxel centres along x, y and z, in mm. Only for arrays (default: 1)
+        and for files that do not contain it.
     origin
         The world position of the centre of the first voxel, in mm. Only for arrays. Default: 0.
     direction
@@ -92,7 +93,7 @@ def _distance_field(given: Source, name: str, words: list[str], progress: Progre
     if given.volume is not None and "--series" in words:
         raise TypeError("series: only for a folder of DICOM files")
     inputs = () if given.volume is None else (given.volume,)
-    return _run(DistanceField, _native.distance_field, [word], inputs, name, words, progress)
+    return _run(DistanceField, _native.distance_field, [word], inputs, name, [*words, *given.words], progress)
 
 
 def size_field(

@@ -38,6 +38,8 @@ class Source:
 
     word: str
     volume: _native.Volume | None = None
+    words: tuple[str, ...] = ()
+    """Options of ``distfield`` for reading the file."""
 
 
 def source(
@@ -60,6 +62,9 @@ def source(
     if isinstance(image, np.ndarray):
         axes, steps = _axes(direction), _three("spacing", spacing, 1.0)
         return _volume(image, axes * steps, _three("origin", origin, 0.0), is_lps=False)
+    if isinstance(image, (str, os.PathLike)) and named == ["spacing"]:
+        numbers = _told(_three("spacing", spacing, 1.0))
+        return Source(os.fsdecode(image), words=("--spacing", ",".join(map(repr, numbers))))
     if named:
         raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
     if isinstance(image, (str, os.PathLike)):
@@ -85,6 +90,8 @@ def _of_masks(masks: Mapping[Any, Image], *geometry: ArrayLike | None) -> Source
         if not isinstance(name, str):
             raise TypeError(f"the name of a mask must be a text, not {name!r}")
         own = source(mask, *geometry)
+        if own.words:
+            raise TypeError("spacing: only for arrays; a mask in a file has a geometry of its own")
         named.append((name, own.word if own.volume is None else own.volume))
     return Source("masks", _native.Volume.of_masks(named))
 

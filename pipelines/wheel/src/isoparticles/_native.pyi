@@ -250,7 +250,9 @@ class VolumeFile(TypedDict):
     layers: int
     is_lps: bool
 
-def read_volume(path: str | PathLike[str], series: str | None = None) -> VolumeFile: ...
+def read_volume(
+    path: str | PathLike[str], series: str | None = None, spacing: tuple[float, float, float] | None = None
+) -> VolumeFile: ...
 def labels_at(
     labels: NDArray[np.int32],
     step: list[list[float]],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from os import PathLike
 from typing import Literal, TypedDict
 
 Labels = int | str | Iterable[int | str]
@@ -17,6 +18,13 @@ class DistfieldOptions(TypedDict, total=False):
 
     #: Series to read if the folder contains several, given by its description, number or UID.
     series: str
+    #: Region to keep: mm:x0..x1,y0..y1,z0..z1 is a box in world coordinates, and
+    #: voxels:i0..i1,j0..j1,k0..k1 contains the numbers of the first and last voxel, from 0.
+    crop: str | PathLike[str]
+    #: Join each block of N x N x N voxels (N,M,K: of N x M x K) to one voxel, after ``--crop``: the
+    #: mean for a scan (``--iso``), and the most frequent label for a label map (the smallest of
+    #: several).
+    downsample: int | str | Iterable[int]
     #: Iso value of the surface, in the unit of the voxel values, between their minimum and maximum.
     iso: float
     #: Side of the iso value on which the object lies. Default: above.
@@ -274,6 +282,10 @@ class MeshSettings(TypedDict, total=False):
 
     #: The series of a folder of DICOM files, by description, number or UID.
     series: str
+    #: The region to keep: a box such as mm:0..50,..,10.. or voxels:0..99,..,5.., or a mask file.
+    crop: str | PathLike[str]
+    #: The number of voxels to join along each axis: 2 or 2,2,1.
+    downsample: int | str | Iterable[int]
     #: The iso value.
     iso: float
     #: The labels to mesh.

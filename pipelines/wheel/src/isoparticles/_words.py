@@ -21,8 +21,11 @@ NOT_FOR_TETRAHEDRA = frozenset(
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
 KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
 """Kinds of options by their ``type`` in ``options.toml``. Other types are texts."""
-EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT"))
-"""Keys of a case that concern files, the terminal or tetrahedra."""
+EXTRA_KEYS = frozenset(
+    ("CASE", "NAME", "INPUT", "PHANTOM", "SPACING", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT")
+)
+"""Keys of a case that concern files, the terminal or tetrahedra, and the spacing, which is an
+argument of its own."""
 
 
 @cache
@@ -128,6 +131,8 @@ def settings_of(given: Mapping[str, Any]) -> list[str]:
             )
         elif name == "materials" and not isinstance(value, str):
             text = labels(name, value, ",", ",")
+        elif name == "downsample":
+            text = _factors(name, value)
         elif set(key.get("words", ())) == {"yes", "no"} and isinstance(value, bool):
             text = "yes" if value else "no"
         else:
@@ -166,9 +171,18 @@ def _texts(name: str, option: Mapping[str, Any], value: Any) -> list[str]:
         return [f"{_material(own, '=/')}={labels(own, of, '+', _inner(of))}" for own, of in value.items()]
     if option["name"] in ("size", "conductivity") and isinstance(value, Mapping):
         return [f"{_pair(own)}={scalar(name, size, 'number')}" for own, size in value.items()]
+    if option["name"] == "downsample":
+        return [_factors(name, value)]
     if not option["repeated"]:
         return [scalar(name, value, option["kind"])]
     return [scalar(name, one, option["kind"]) for one in ([value] if isinstance(value, str) else _all(name, value))]
+
+
+def _factors(name: str, value: Any) -> str:
+    """Return one whole number, or one for each axis, as a word."""
+    # arrays have __index__, but only a single number has a value for it
+    single = isinstance(value, str) or (hasattr(value, "__index__") and not getattr(value, "ndim", 0))
+    return ",".join(scalar(name, one, "whole") for one in ([value] if single else _all(name, value)))
 
 
 def _inner(value: Any) -> str:

@@ -38,7 +38,9 @@ class InputVolume:
         return float(abs(np.linalg.det(self.step)))
 
 
-def read_volume(path: Path, series: str | None = None) -> InputVolume:
+def read_volume(
+    path: Path, series: str | None = None, spacing: tuple[float, float, float] | None = None
+) -> InputVolume:
     """Read a volume.
 
     Parameters
@@ -47,6 +49,8 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
         NRRD, a segmentation of 3D Slicer, NIfTI, MetaImage, VTK image, or a folder of DICOM slices.
     series
         Description, number or UID of the series to read, if the folder contains several.
+    spacing
+        Distances between voxel centres, mm, if the file does not contain them.
 
     Returns
     -------
@@ -58,7 +62,7 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
     StageError
         If the file cannot be read, or is not a volume.
     """
-    found = _native.read_volume(path, series)
+    found = _native.read_volume(path, series, spacing)
     return InputVolume(
         found["values"].T,
         np.array(found["axes"]).T * found["spacing"],

@@ -43,7 +43,7 @@ def _scan_of(case: Case) -> tuple[Scan | None, StageError | None]:
     asked = dig(case.reports, "distfield", "parameters", "materials")
     labels = asked or (source == "labels" if source else {"LABELS", "MATERIALS"} & set(case.parameters))
     try:
-        return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters", "series")), None
+        return read_scan(case.input, bool(labels), dig(case.reports, "distfield", "parameters") or {}), None
     except StageError as error:
         return None, error
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,10 @@ class Scan(InputVolume):
 
     labels: bool = False
     """Whether the values are labels of tissues, not measurements."""
+    crop: str | None = None
+    """The region that was meshed; ``None`` for the whole volume."""
+    downsample: list[int] | None = None
+    """The number of voxels that were joined along each axis before meshing."""
 
     @property
     def spacing(self) -> Values:
@@ -97,8 +102,8 @@ class Scan(InputVolume):
         return replace(self, values=values, origin=self.origin + self.step @ first)
 
 
-def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
-    """Read the input of a case.
+def read_scan(path: Path, labels: bool, reading: dict[str, Any]) -> Scan:
+    """Read the input of a case, without cropping it.
 
     Parameters
     ----------
@@ -106,12 +111,13 @@ def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
         Any volume that the stages read.
     labels
         Whether it holds labels.
-    series
-        The series to read, if a folder of DICOM slices contains several.
+    reading
+        The parameters of ``distfield``. Those that say how the volume was read are used.
 
     Raises
     ------
     StageError
         If it cannot be read.
     """
-    return Scan(**vars(read_volume(path, series)), labels=labels)
+    volume = read_volume(path, reading.get("series"), reading.get("spacing"))
+    return Scan(**vars(volume), labels=labels, crop=reading.get("crop"), downsample=reading.get("downsample"))
