@@ -106,7 +106,7 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     }
     let segments = names::names(&between, endian, &mut remarks);
     let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
-    Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
+    Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) }.in_lps())
 }
 
 /// The magic number at the end of a header whose voxels are in a separate file.
@@ -169,7 +169,7 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
     })
 }
 
-/// Returns the geometry in mm, and in LPS if the header defines an orientation. Uses the sform if
+/// Returns the geometry in mm, and in RAS if the header defines an orientation. Uses the sform if
 /// it is valid, otherwise the qform, otherwise only the voxel spacings.
 fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
     let dimension = usize::from(header.dim[0]);
@@ -214,29 +214,23 @@ fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)
         let spacing = pixel_spacing(header);
         (DMat3::from_diagonal(spacing), DVec3::ZERO, Space::Unnamed)
     };
-    let to_lps = match space {
-        Space::Lps => DVec3::new(-1.0, -1.0, 1.0),
-        Space::Unnamed => DVec3::ONE,
-    };
-    let steps = [0, 1, 2].map(|axis| steps.col(axis) * to_lps * millimetres);
-    Ok((geometry_from_steps(path, size, steps, origin * to_lps * millimetres, space)?, remarks))
+    let steps = [0, 1, 2].map(|axis| steps.col(axis) * millimetres);
+    Ok((geometry_from_steps(path, size, steps, origin * millimetres, space)?, remarks))
 }
 
 fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Returns the sform as the vectors between neighbouring voxels, the origin and the space. The
-/// coordinates are RAS; the caller converts them to LPS.
+/// Returns the sform as the vectors between neighbouring voxels, the origin and the space.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
     let column = |axis: usize| DVec3::new(x[axis], y[axis], z[axis]);
-    (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
+    (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Ras)
 }
 
-/// Returns the qform as the vectors between neighbouring voxels, the origin and the space. The
-/// coordinates are RAS; the caller converts them to LPS.
+/// Returns the qform as the vectors between neighbouring voxels, the origin and the space.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
     // The first component of the quaternion is not stored. The norm of the other three may exceed
@@ -248,7 +242,7 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
         spacing.z = -spacing.z;
     }
     let origin = DVec3::new(header.quatern_x.into(), header.quatern_y.into(), header.quatern_z.into());
-    (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
+    (rotation * DMat3::from_diagonal(spacing), origin, Space::Ras)
 }
 
 /// Maximum number of extension bytes that are read. This is enough for 65,535 label names of 256

@@ -3,7 +3,7 @@
 //! `tests/data/make_fixtures.py`.
 
 use glam::DVec3;
-use isoparticles_volume::{Content, Error, LayerLabel, Volume, Voxels, read_volume};
+use isoparticles_volume::{Content, Error, LayerLabel, Space, Volume, Voxels, read_volume};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -60,6 +60,26 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
             let theirs = DVec3::from_array(theirs);
             assert!(ours.abs_diff_eq(theirs, tolerance), "{file}: {ours} is not {theirs} ({})", told["told_by"]);
         }
+    }
+}
+
+#[test]
+fn the_frame_of_the_file_is_known() {
+    for (file, file_space) in [
+        ("nrrd/space_ras.nrrd", Space::Ras),
+        ("nrrd/space_las.nrrd", Space::Lps),
+        ("nrrd/itk.nrrd", Space::Lps),
+        ("nrrd/space_unnamed.nrrd", Space::Unnamed),
+        ("nifti/sform.nii", Space::Ras),
+        ("nifti/qform.nii.gz", Space::Ras),
+        ("meta/orientation.mha", Space::Lps),
+        ("dicom/oblique", Space::Lps),
+        ("vti/pyvista.vti", Space::Unnamed),
+    ] {
+        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.file_space, file_space, "{file}");
+        let is_named = file_space != Space::Unnamed;
+        assert_eq!(volume.geometry.space, if is_named { Space::Lps } else { Space::Unnamed }, "{file}");
     }
 }
 
