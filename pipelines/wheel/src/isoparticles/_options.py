@@ -226,6 +226,9 @@ class ReconstructOptions(TypedDict, total=False):
 class TetmeshOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.fill`."""
 
+    #: World frame of the meshes and of the places in the report: lps (left, posterior, superior),
+    #: ras (right, anterior, superior), or scanner, the frame of the file that distfield read.
+    space: Literal["lps", "ras", "scanner"]
     #: Tetrahedralizer. Default: auto.
     method: Literal["auto", "ftetwild", "hxt", "tetgen"]
     #: Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
