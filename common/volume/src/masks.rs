@@ -30,7 +30,7 @@ const MOST_MASKS: usize = u8::MAX as usize;
 
 /// Smallest value of a voxel inside a mask, relative to the maximum. For probabilities, such a
 /// voxel is at least as likely inside as outside.
-const INSIDE: f64 = 0.5;
+pub(crate) const INSIDE: f64 = 0.5;
 
 /// Index positions that differ by less than this are the same. NIfTI headers store positions of up
 /// to 1000 mm with rounding errors of 3e-5 mm; this is 1e-3 of a voxel of 0.03 mm.
