@@ -58,13 +58,14 @@ const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Opt
 }
 
 /// All readers.
-pub const READERS: [Reader; 15] = [
+pub const READERS: [Reader; 16] = [
     reader("nrrd", "nrrd", volume),
     reader("nifti", "nii", volume),
     reader("compressed_nifti", "nii.gz", volume),
     reader("meta_image", "mha", volume),
     reader("vtk_image", "vti", volume),
     reader("dicom", "dcm", series),
+    reader("dicom_object", "dicom", volume),
     reader("field", "vti", field),
     reader("materials", "vti", materials),
     reader("particles", "bin", particles),
