@@ -51,4 +51,4 @@ pub mod particle_file;
 pub mod quality;
 pub mod space;
 
-pub use isoparticles_file::{history, monitor};
+pub use isoparticles_file::{history, limit, monitor};

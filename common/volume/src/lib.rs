@@ -27,6 +27,7 @@
 mod data_files;
 mod dicom;
 mod error;
+mod foreign;
 mod geometry;
 mod image;
 mod limit;
@@ -46,6 +47,7 @@ pub mod vtk_xml;
 
 pub use data_files::data_files;
 pub use error::{Content, Error, Result};
+pub use foreign::foreign_content;
 pub use geometry::{Geometry, Space};
 pub use image::{Image, reverse_slices};
 pub use read::{ReadOptions, read_volume, read_volume_with};

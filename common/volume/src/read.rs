@@ -3,6 +3,7 @@
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
+use crate::foreign::foreign_content;
 use crate::limit::without_spacing;
 use crate::volume::Volume;
 use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
@@ -52,6 +53,9 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
 /// If [`read_volume`] would fail, if the requested series does not exist, or if a series is
 /// requested from a file.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
+    if let Some(content) = foreign_content(path) {
+        return Err(Error::NotAVolume { path: path.to_path_buf(), content });
+    }
     if path.is_dir() {
         return read_folder(path, options);
     }
