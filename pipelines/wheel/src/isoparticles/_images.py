@@ -6,12 +6,15 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isoparticles import _native
+from isoparticles._errors import Error
+from isoparticles._files import Given, Limits, format_of, opened
 
 Image = Any
 """A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to
@@ -28,20 +31,27 @@ ORIGIN_MM = 1e9
 """Maximum coordinate of an origin that the readers of files accept."""
 FLAT = 1e-3
 """Minimum determinant of the axes that the readers of files accept."""
+NO_LIMITS = Limits()
 LAYERS = 64
 """Layers of an array to copy together: a cache line of the smallest voxels."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """An image as a stage takes it: a file, or a volume in memory named ``array`` or ``masks``."""
+    """An image as a stage takes it: a path, or a volume in memory named ``array`` or ``masks``."""
 
     word: str
     volume: _native.Volume | None = None
+    is_file: bool = False
+    """Whether ``word`` is a path. The volume of some files is in memory."""
 
 
 def source(
-    image: Image, spacing: ArrayLike | None = None, origin: ArrayLike | None = None, direction: ArrayLike | None = None
+    image: Image,
+    spacing: ArrayLike | None = None,
+    origin: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
+    dataset: str | None = None,
 ) -> Source:
     """Convert an image; see :func:`isoparticles.distance_field`.
 
@@ -53,17 +63,23 @@ def source(
         If the array does not have three axes, or if the geometry is invalid.
     """
     if isinstance(image, Mapping):
-        return _of_masks(image, spacing, origin, direction)
+        return _of_masks(image, spacing, origin, direction, dataset)
     package = type(image).__module__.partition(".")[0]
     given = [("spacing", spacing), ("origin", origin), ("direction", direction)]
     named = [name for name, value in given if value is not None]
+    if isinstance(image, (str, os.PathLike)) and format_of(os.fsdecode(image)):
+        lengths, place = (None if value is None else _three(name, value, 0.0) for name, value in given[:2])
+        axes = None if direction is None else _axes(direction)
+        return of_file(os.fsdecode(image), dataset, Given(lengths, place, axes))
+    if dataset is not None and not _is_missing(image):
+        raise TypeError("dataset: only for HDF5, MATLAB and Zarr files")
     if isinstance(image, np.ndarray):
         axes, steps = _axes(direction), _three("spacing", spacing, 1.0)
         return _volume(image, axes * steps, _three("origin", origin, 0.0))
     if named:
         raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
     if isinstance(image, (str, os.PathLike)):
-        return Source(os.fsdecode(image))
+        return Source(os.fsdecode(image), is_file=True)
     if package == "SimpleITK":
         return _of_simpleitk(image)
     if package == "nibabel":
@@ -77,7 +93,31 @@ def source(
     )
 
 
-def _of_masks(masks: Mapping[Any, Image], *geometry: ArrayLike | None) -> Source:
+def _is_missing(image: Image) -> bool:
+    return isinstance(image, (str, os.PathLike)) and not Path(image).exists()
+
+
+def of_file(path: str, dataset: str | None, given: Given, limits: Limits = NO_LIMITS) -> Source:
+    """Read an array of an HDF5, MATLAB or Zarr file.
+
+    Raises
+    ------
+    Error
+        If the file cannot be read, or if its geometry is invalid.
+    """
+    with opened(path, dataset, given, limits) as (grid, slabs):
+        try:
+            spacing, axes = _checked(grid.steps, grid.origin)
+        except ValueError as error:
+            raise Error(f"{path}: {error}", "the volume would have no usable position", "correct the file") from None
+        volume = _native.Volume(
+            slabs, grid.dtype, grid.size, spacing, grid.origin.tolist(), axes, "lps" if grid.is_lps else None
+        )
+    volume.name_labels(grid.names)
+    return Source(path, volume, is_file=True)
+
+
+def _of_masks(masks: Mapping[Any, Image], *geometry: Any) -> Source:
     if not masks:
         raise ValueError("the mapping contains no masks")
     named = []
@@ -147,6 +187,14 @@ def _volume(
         raise ValueError(f"the array must have three axes (x, y, z), but its shape is {array.shape}")
     if min(array.shape) < 2:
         raise ValueError(f"the array must have at least two voxels along each axis, but its shape is {array.shape}")
+    spacing, axes = _checked(steps, origin)
+    # one part at a time, so that the order of the axes and the type change without a second copy
+    slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
+    return Source("array", _native.Volume(slabs, name, array.shape, spacing, origin.tolist(), axes, space))
+
+
+def _checked(steps: NDArray[Any], origin: NDArray[Any]) -> tuple[list[float], list[list[float]]]:
+    """Check a geometry, and return the spacing and the unit vectors of the axes."""
     spacing = np.linalg.norm(steps, axis=0)
     low, high = SPACING_MM
     if not np.all((spacing >= low) & (spacing <= high)):
@@ -156,10 +204,7 @@ def _volume(
     axes = steps / spacing
     if not abs(np.linalg.det(axes)) >= FLAT:
         raise ValueError(f"the direction is singular: its axes {axes.T.tolist()} are (nearly) coplanar")
-    # one part at a time, so that the order of the axes and the type change without a second copy
-    slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
-    volume = _native.Volume(slabs, name, array.shape, spacing.tolist(), origin.tolist(), axes.T.tolist(), space)
-    return Source("array", volume)
+    return spacing.tolist(), axes.T.tolist()
 
 
 def _axes(direction: ArrayLike | None) -> NDArray[Any]:

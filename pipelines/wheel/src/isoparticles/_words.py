@@ -21,8 +21,11 @@ NOT_FOR_TETRAHEDRA = frozenset(
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
 KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
 """Kinds of options by their ``type`` in ``options.toml``. Other types are texts."""
-EXTRA_KEYS = frozenset(("CASE", "NAME", "INPUT", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT"))
-"""Keys of a case that concern files, the terminal or tetrahedra."""
+EXTRA_KEYS = frozenset(
+    ("CASE", "NAME", "INPUT", "DATASET", "PHANTOM", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT")
+)
+"""Keys of a case that concern files, the terminal or tetrahedra. ``mesh`` has its own argument for
+some of them."""
 
 
 @cache
