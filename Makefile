@@ -35,7 +35,7 @@ THREADS ?=
 # Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES DATASET ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
@@ -167,6 +167,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
   SPACE=...     world frame of the results: lps, ras, or scanner, that of INPUT [lps]
   SERIES=...    series to mesh, if a folder of DICOM files contains several
+  DATASET=...   array of an HDF5, MATLAB or Zarr file: a path, a variable or a level
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
   ACCEPT_LOSSES=yes  accept materials whose volume a scale changes by more than 10 %; the verdict lists them
@@ -283,7 +284,7 @@ sdist: $(WHEEL)/venv/.made completions
 	@$(WHEEL)/venv/bin/python -m hatchling build -t sdist -d $(WHEEL)
 ifneq ($(SDIST_TEST),)
 	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
-	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,hxt]" pytest pytest-timeout
+	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
 
@@ -296,7 +297,7 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 # layout of /usr/share. The wheel contains those for its own commands.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
-SHARE_GOALS = info convert mesh surface verdict page clean demo index batch tetmesh-check
+SHARE_GOALS = info convert read mesh surface verdict page clean demo index batch tetmesh-check
 completions: build env
 	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
 	@lines=$$(mktemp -d) && trap 'rm -rf "$$lines"' EXIT && bin=$(call quote,$(BIN)) && shells() { command=$$1 name=$$2 && shift 2 \

@@ -38,12 +38,13 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 35] = [
+pub const KEYS: [Key; 36] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
     key("PHANTOM", Form::Words, "the shape and options of the phantom program"),
     key("SERIES", Form::Text, "the series of a folder of DICOM files, by description, number or UID"),
+    key("DATASET", Form::Text, "the array of an HDF5, MATLAB or Zarr file: a path, a variable or a level"),
     key("ISO", Form::Number, "the iso value"),
     key("LABELS", Form::Text, "the labels to mesh"),
     key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),

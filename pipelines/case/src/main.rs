@@ -7,7 +7,7 @@ use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
-use isoparticles_case::{batch, cluster, front, index, keys, name, program, verdict};
+use isoparticles_case::{batch, cluster, front, index, keys, name, program, read, verdict};
 use isoparticles_stage::cli::shell;
 use isoparticles_stage::error::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -279,6 +279,9 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
             format!("run '{} distfield' with the same settings first", program::front()),
         ));
     }
+    let converted = read::for_info(&volume, &case.settings, programs)?;
+    let volume = converted.as_ref().map_or(volume, read::Converted::path);
+    let case = Case { settings: read::settings_after(&case.settings), ..case };
     let mut words = vec!["info".into(), volume.into_os_string()];
     for (key, option) in [("SERIES", "--series"), ("LABELS", "--labels"), ("ISO", "--iso"), ("INSIDE", "--inside")] {
         words.extend(case.settings.get(key).into_iter().flat_map(|value| [option.into(), value.into()]));
