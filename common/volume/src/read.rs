@@ -4,7 +4,7 @@
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
+use crate::{dicom, masks, meta_image, nifti, nrrd, voxel_data, vti};
 use glam::DVec3;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -57,13 +57,14 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
-    let read = match format(path, &start)? {
+    let format = format(path, &start)?;
+    without_series(path, options)?;
+    let read = match format {
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
         Format::Nifti => nifti::read_nifti,
         Format::VtkImage => vti::read_vti,
     };
-    without_series(path, options)?;
     without_spacing(path, options)?;
     read(path)
 }
@@ -137,6 +138,14 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
+/// Returns the first bytes of a gzip-compressed file, or fewer if they cannot be decompressed.
+fn decompressed_start(path: &Path) -> Vec<u8> {
+    let mut start = Vec::new();
+    // what was read before an error is kept
+    voxel_data::open(path).and_then(|stream| stream.take(START_BYTES).read_to_end(&mut start)).ok();
+    start
+}
+
 /// Detects the format of a file. Fails if the file is not a volume.
 fn format(path: &Path, start: &[u8]) -> Result<Format> {
     let name = path.to_string_lossy().to_lowercase();
@@ -145,7 +154,8 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if start.starts_with(b"NRRD") {
         return Ok(Format::Nrrd);
     }
-    if nifti::is_nifti(start) || nifti::is_compressed_nifti(path, start) {
+    let plain = if start.starts_with(&[0x1f, 0x8b]) { decompressed_start(path) } else { start.to_vec() };
+    if nifti::is_nifti(&plain) {
         return Ok(Format::Nifti);
     }
     if let Some(content) = no_volume(start, &ends) {

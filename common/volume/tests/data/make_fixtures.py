@@ -3,10 +3,11 @@
     pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-NAME is nrrd, nifti, vti, meta, segmentation, dicom or edited; the default is all of them.
+NAME is nrrd, nifti, analyze, vti, meta, segmentation, dicom or edited; the default
+is all of them.
 
 Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
-`expected.json` contains what another program (SimpleITK, nibabel, VTK or Teem's unu) reads: the
+`expected.json` contains what another program (SimpleITK, nibabel, VTK or unu) reads: the
 type, the values, and the world positions of the first voxel and of the last voxel along each axis
 (in LPS if the file specifies an anatomical space). Files that must be refused are listed with an
 expected part of the error message.
@@ -237,14 +238,47 @@ def make_nifti():
     image = nibabel.Nifti1Image(np.zeros((3, 4, 2, 5), "int16"), affine)
     nibabel.save(image, str(folder / "time.nii.gz"))
     expected["refused"]["nifti/time.nii.gz"] = "5 samples along axis 3"
-    nibabel.save(nibabel.Nifti2Image(voxels("int16"), affine), str(folder / "nifti2.nii"))
-    expected["refused"]["nifti/nifti2.nii"] = "NIfTI-2"
+    for file, kind in [("nifti2.nii", nibabel.Nifti2Image), ("nifti2_pair.hdr", nibabel.Nifti2Pair)]:
+        nibabel.save(kind(voxels("int16"), affine), str(folder / file))
+        by_nibabel(f"nifti/{file}", voxels("int16"))
+    two = nibabel.Nifti2Image(voxels("float64"), left, nibabel.Nifti2Header(endianness=">"), dtype="float64")
+    two.set_qform(left, code=1)
+    two.set_sform(None, code=0)
+    nibabel.save(two, str(folder / "nifti2_big.nii.gz"))
+    by_nibabel("nifti/nifti2_big.nii.gz", voxels("float64"))
     rgb = np.zeros(SIZE, dtype=[("R", "u1"), ("G", "u1"), ("B", "u1")])
     nibabel.save(nibabel.Nifti1Image(rgb, affine), str(folder / "colour.nii"))
     expected["refused"]["nifti/colour.nii"] = "colours"
     whole = (folder / "sform.nii").read_bytes()
     (folder / "short.nii").write_bytes(whole[:-1])
     expected["refused"]["nifti/short.nii"] = "ends after"
+
+
+def by_nibabel(file, values):
+    """Record what nibabel reads from a file, in LPS."""
+    image = nibabel.load(str(HERE / file))
+    assert np.allclose(np.asarray(image.dataobj), values), file
+    positions = [(image.affine @ np.array([*c, 1]))[:3] * [-1, -1, 1] for c in CORNERS]
+    expect(file, values, positions, "nibabel")
+
+
+def make_analyze():
+    folder = HERE / "analyze"
+    folder.mkdir(exist_ok=True)
+    affine = np.diag([-0.5, 1.25, 3.0, 1.0])
+    for file, kind, name in [("plain", nibabel.AnalyzeImage, "int16"), ("spm", nibabel.Spm99AnalyzeImage, "float32")]:
+        nibabel.save(kind(voxels(name), affine), str(folder / f"{file}.img"))
+        (folder / f"{file}.mat").unlink(missing_ok=True)
+    # SPM counts voxels from 1
+    header = bytearray((folder / "spm.hdr").read_bytes())
+    header[253:259] = struct.pack("<hhh", 3, 1, 2)
+    (folder / "spm.hdr").write_bytes(header)
+    by_nibabel("analyze/plain.hdr", voxels("int16"))
+    by_nibabel("analyze/spm.img", voxels("float32"))
+    # ITK reads the same values and spacing, but assumes that y runs from anterior to posterior
+    image = sitk.ReadImage(str(folder / "plain.hdr"))
+    assert image.GetSpacing() == (0.5, 1.25, 3.0)
+    assert np.array_equal(sitk.GetArrayFromImage(image).transpose(2, 1, 0), voxels("int16"))
 
 
 def make_vti():
@@ -447,16 +481,23 @@ def make_edited():
     assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
 
 
-MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze,
+          "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
           "dicom": make_dicom, "edited": make_edited}
 wanted = sys.argv[1:] or list(MAKERS)
+order = []
 if sys.argv[1:]:
     expected = json.loads((HERE / "expected.json").read_text())
+    order = [file for told in expected.values() for file in told]
     for told in expected.values():
         for file in [file for file in told if file.split("/")[0] in wanted]:
             del told[file]
 for name in wanted:
     MAKERS[name]()
+for kind, told in expected.items():
+    # files that were there before keep their places
+    files = sorted(told, key=lambda file: order.index(file) if file in order else len(order))
+    expected[kind] = {file: told[file] for file in files}
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
 print(len(expected["volumes"]), "volumes,", len(expected["refused"]), "to be refused,",
       sum(f.stat().st_size for f in HERE.rglob("*") if f.is_file()), "bytes in all")
