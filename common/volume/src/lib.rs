@@ -32,6 +32,7 @@ mod image;
 mod limit;
 pub mod masks;
 mod meta_image;
+mod mgh;
 mod nifti;
 pub mod nrrd;
 mod read;

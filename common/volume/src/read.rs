@@ -4,7 +4,7 @@
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, nifti, nrrd, voxel_data, vti};
+use crate::{dicom, masks, meta_image, mgh, nifti, nrrd, voxel_data, vti};
 use glam::DVec3;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -31,6 +31,7 @@ enum Format {
     Nrrd,
     MetaImage,
     Nifti,
+    Mgh,
     VtkImage,
 }
 
@@ -63,6 +64,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
         Format::Nifti => nifti::read_nifti,
+        Format::Mgh => mgh::read_mgh,
         Format::VtkImage => vti::read_vti,
     };
     without_spacing(path, options)?;
@@ -158,6 +160,9 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if nifti::is_nifti(&plain) {
         return Ok(Format::Nifti);
     }
+    if mgh::is_mgh(&plain) {
+        return Ok(Format::Mgh);
+    }
     if let Some(content) = no_volume(start, &ends) {
         return Err(Error::NotAVolume { path: path.to_path_buf(), content });
     }
@@ -170,11 +175,11 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if ends(&[".nii", ".nii.gz"]) {
         return Ok(Format::Nifti);
     }
-    if ends(&[".nrrd", ".nhdr"]) {
+    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz"]) {
         return Err(bad(
             path,
-            "does not start with the letters NRRD",
-            "it is not an NRRD file, despite its name",
+            "does not start like a file with this ending",
+            "it is damaged, or its format is another one, despite its name",
             "write or download the file again",
         ));
     }

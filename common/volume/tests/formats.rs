@@ -53,8 +53,8 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores the geometry as 32-bit floats. VTK writes the origin with about the same
-        // precision.
+        // NIfTI and FreeSurfer store the geometry as 32-bit floats. VTK writes the origin with
+        // about the same precision.
         let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {
             let theirs = DVec3::from_array(theirs);

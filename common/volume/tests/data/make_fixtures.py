@@ -3,7 +3,7 @@
     pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-NAME is nrrd, nifti, analyze, vti, meta, segmentation, dicom or edited; the default
+NAME is nrrd, nifti, analyze, mgh, vti, meta, segmentation, dicom or edited; the default
 is all of them.
 
 Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
@@ -281,6 +281,22 @@ def make_analyze():
     assert np.array_equal(sitk.GetArrayFromImage(image).transpose(2, 1, 0), voxels("int16"))
 
 
+def make_mgh():
+    folder = HERE / "mgh"
+    folder.mkdir(exist_ok=True)
+    affine = np.eye(4)
+    affine[:3, :3] = OBLIQUE.T
+    affine[:3, 3] = [10.5, -20.25, 30.0]
+    for name in ["uint8", "int16", "int32", "float32"]:
+        file = f"mgh/type_{name}.{'mgz' if name in ('int16', 'float32') else 'mgh'}"
+        nibabel.save(nibabel.MGHImage(voxels(name), affine), str(HERE / file))
+        by_nibabel(file, voxels(name))
+    nibabel.save(nibabel.MGHImage(np.zeros((3, 4, 2, 5), "float32"), affine), str(folder / "frames.mgz"))
+    expected["refused"]["mgh/frames.mgz"] = "5 frames"
+    (folder / "short.mgh").write_bytes((folder / "type_int32.mgh").read_bytes()[:300])
+    expected["refused"]["mgh/short.mgh"] = "ends after 4 of 24 values"
+
+
 def make_vti():
     folder = HERE / "vti"
     folder.mkdir(exist_ok=True)
@@ -481,7 +497,7 @@ def make_edited():
     assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
 
 
-MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze,
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze, "mgh": make_mgh,
           "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
           "dicom": make_dicom, "edited": make_edited}
 wanted = sys.argv[1:] or list(MAKERS)
