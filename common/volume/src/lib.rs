@@ -34,6 +34,7 @@ pub mod masks;
 mod meta_image;
 mod mgh;
 mod nifti;
+mod npy;
 pub mod nrrd;
 mod read;
 mod segments;

@@ -4,7 +4,7 @@
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, mgh, nifti, nrrd, voxel_data, vti};
+use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, voxel_data, vti};
 use glam::DVec3;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -32,6 +32,7 @@ enum Format {
     MetaImage,
     Nifti,
     Mgh,
+    NumPy,
     VtkImage,
 }
 
@@ -61,6 +62,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     let format = format(path, &start)?;
     without_series(path, options)?;
     let read = match format {
+        Format::NumPy => return npy::read_npy(path, options.spacing),
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
         Format::Nifti => nifti::read_nifti,
@@ -163,6 +165,9 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if mgh::is_mgh(&plain) {
         return Ok(Format::Mgh);
     }
+    if npy::is_npy(start) {
+        return Ok(Format::NumPy);
+    }
     if let Some(content) = no_volume(start, &ends) {
         return Err(Error::NotAVolume { path: path.to_path_buf(), content });
     }
@@ -175,7 +180,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if ends(&[".nii", ".nii.gz"]) {
         return Ok(Format::Nifti);
     }
-    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz"]) {
+    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz", ".npy"]) {
         return Err(bad(
             path,
             "does not start like a file with this ending",

@@ -3,7 +3,7 @@
 mod coded;
 
 use crate::error::{Error, Result};
-use crate::image::reverse_slices;
+use crate::image::{reverse_slices, reversed_axes};
 use coded::Coded;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -341,6 +341,18 @@ impl Voxels {
             }
         });
         self.truncate(to.iter().product());
+    }
+
+    /// Reverses the order of the three axes; see [`reversed_axes`].
+    pub(crate) fn reversed_axes(self, size: [usize; 3]) -> Self {
+        macro_rules! arms {
+            ($($variant:ident),*) => {
+                match self {
+                    $(Self::$variant(values) => Self::$variant(reversed_axes(&values, size)),)*
+                }
+            };
+        }
+        arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
     /// Keeps the first `count` values and releases the unused memory.

@@ -3,13 +3,14 @@
     pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-NAME is nrrd, nifti, analyze, mgh, vti, meta, segmentation, dicom or edited; the default
+NAME is nrrd, nifti, analyze, mgh, npy, vti, meta, segmentation, dicom or edited; the default
 is all of them.
 
 Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
 `expected.json` contains what another program (SimpleITK, nibabel, VTK or unu) reads: the
 type, the values, and the world positions of the first voxel and of the last voxel along each axis
-(in LPS if the file specifies an anatomical space). Files that must be refused are listed with an
+(in LPS if the file specifies an anatomical space). `spacing` is what the test gives for files
+without a spacing. Files that must be refused are listed with an
 expected part of the error message.
 """
 
@@ -297,6 +298,36 @@ def make_mgh():
     expected["refused"]["mgh/short.mgh"] = "ends after 4 of 24 values"
 
 
+def with_spacing(file, array, teller, spacing=(0.5, 1.25, 3.0), is_given=True):
+    """Record an array that another program reads, with a spacing along its axes x, y, z in mm."""
+    expect(file, array, affine_positions(np.diag(spacing), [0, 0, 0]), teller)
+    if is_given:
+        expected["volumes"][file]["spacing"] = list(spacing)
+
+
+def make_npy():
+    folder = HERE / "npy"
+    folder.mkdir(exist_ok=True)
+    for number, name in enumerate(NAMES):
+        file = f"npy/type_{name}.npy"
+        order = "FC"[number % 2]
+        np.save(HERE / file, np.array(voxels(name), order=order))
+        loaded = np.load(HERE / file)
+        assert np.array_equal(loaded, voxels(name)) and loaded.flags[f"{order}_CONTIGUOUS"]
+        with_spacing(file, loaded, "NumPy")
+    np.save(folder / "big_endian.npy", voxels("int16").astype(">i2"))
+    with_spacing("npy/big_endian.npy", np.load(folder / "big_endian.npy").astype("int16"), "NumPy")
+    np.save(folder / "bool.npy", voxels("int16") > 2000)
+    with_spacing("npy/bool.npy", np.load(folder / "bool.npy").astype("uint8"), "NumPy")
+    with (folder / "version_2.npy").open("wb") as file:
+        np.lib.format.write_array(file, voxels("uint8"), version=(2, 0))
+    with_spacing("npy/version_2.npy", np.load(folder / "version_2.npy"), "NumPy")
+    for file, array, word in [("complex", voxels("int16") * 1j, "<c16"), ("flat", voxels("int16")[0], "shape [4, 2]"),
+                              ("half", voxels("int8").astype("float16"), "<f2"), ("spacing", voxels("int8"), "spacing")]:
+        np.save(folder / f"no_{file}.npy", array)
+        expected["refused"][f"npy/no_{file}.npy"] = word
+
+
 def make_vti():
     folder = HERE / "vti"
     folder.mkdir(exist_ok=True)
@@ -497,7 +528,7 @@ def make_edited():
     assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
 
 
-MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze, "mgh": make_mgh,
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze, "mgh": make_mgh, "npy": make_npy,
           "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
           "dicom": make_dicom, "edited": make_edited}
 wanted = sys.argv[1:] or list(MAKERS)
