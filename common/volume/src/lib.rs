@@ -39,6 +39,7 @@ pub mod nrrd;
 mod read;
 mod segments;
 mod shear;
+mod tiff;
 mod units;
 mod volume;
 mod voxel_data;

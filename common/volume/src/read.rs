@@ -4,8 +4,9 @@
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, voxel_data, vti};
+use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, tiff, voxel_data, vti};
 use glam::DVec3;
+use isoparticles_file::history::file_name;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -32,6 +33,7 @@ enum Format {
     MetaImage,
     Nifti,
     Mgh,
+    Tiff,
     NumPy,
     VtkImage,
 }
@@ -62,6 +64,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     let format = format(path, &start)?;
     without_series(path, options)?;
     let read = match format {
+        Format::Tiff => return tiff::read_tiff(path, options.spacing),
         Format::NumPy => return npy::read_npy(path, options.spacing),
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
@@ -102,7 +105,8 @@ fn without_spacing(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
     }
 }
 
-/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks.
+/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks or TIFF
+/// slices.
 fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
@@ -114,7 +118,20 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
         without_spacing(folder, options)?;
         return dicom::read_series(folder, &slices, options.series);
     }
+    let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
     files.retain(|path| masks::mask_name(path).is_some());
+    if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
+        return Err(bad(
+            folder,
+            format!("contains {} and {}", file_name(mask), file_name(slice)),
+            "TIFF files in a folder are read as slices, and other volumes as masks",
+            "move one kind of file to another folder",
+        ));
+    }
+    if !tiffs.is_empty() {
+        without_series(folder, options)?;
+        return tiff::read_tiff_folder(folder, tiffs, options.spacing);
+    }
     if !files.is_empty() {
         without_series(folder, options)?;
         without_spacing(folder, options)?;
@@ -124,9 +141,9 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };
     Err(bad(
         folder,
-        "is a folder without DICOM files or masks",
-        "a folder is read as the slices of one DICOM series, or as masks: one volume file per object, such as \
-         heart.nii.gz",
+        "is a folder without DICOM files, TIFF files or masks",
+        "a folder is read as the slices of one DICOM series or TIFF stack, or as masks: one volume file per object, \
+         such as heart.nii.gz",
         format!("use the volume's file, or the folder that contains the slices or masks{hint}"),
     ))
 }
@@ -165,6 +182,9 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if mgh::is_mgh(&plain) {
         return Ok(Format::Mgh);
     }
+    if tiff::byte_order(start).is_some() {
+        return Ok(Format::Tiff);
+    }
     if npy::is_npy(start) {
         return Ok(Format::NumPy);
     }
@@ -180,7 +200,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if ends(&[".nii", ".nii.gz"]) {
         return Ok(Format::Nifti);
     }
-    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz", ".npy"]) {
+    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz", ".tif", ".tiff", ".npy"]) {
         return Err(bad(
             path,
             "does not start like a file with this ending",

@@ -1,13 +1,13 @@
 """Write the fixtures of the format tests and the values and positions that other programs read.
 
-    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
+    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista tifffile imagecodecs scikit-image
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-NAME is nrrd, nifti, analyze, mgh, npy, vti, meta, segmentation, dicom or edited; the default
+NAME is nrrd, nifti, analyze, mgh, npy, tiff, vti, meta, segmentation, dicom or edited; the default
 is all of them.
 
 Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
-`expected.json` contains what another program (SimpleITK, nibabel, VTK or unu) reads: the
+`expected.json` contains what another program (SimpleITK, nibabel, tifffile, VTK or unu) reads: the
 type, the values, and the world positions of the first voxel and of the last voxel along each axis
 (in LPS if the file specifies an anatomical space). `spacing` is what the test gives for files
 without a spacing. Files that must be refused are listed with an
@@ -28,7 +28,10 @@ import numpy as np
 import pydicom
 import pyvista
 import SimpleITK as sitk
+import skimage.io
+import tifffile
 import vtk
+from PIL import Image
 
 HERE = Path(__file__).parent
 STAGE = HERE.parents[2] / "stage" / "tests" / "data"
@@ -328,6 +331,106 @@ def make_npy():
         expected["refused"][f"npy/no_{file}.npy"] = word
 
 
+def make_tiff():
+    """Write stacks with tifffile, Pillow, scikit-image and ITK, all from arrays [z, y, x]."""
+    folder = HERE / "tiff"
+    folder.mkdir(exist_ok=True)
+
+    def by_tifffile(file, **options):
+        pages = tifffile.TiffFile(HERE / file).pages
+        array = np.array([page.asarray() for page in pages]).transpose(2, 1, 0)
+        array = array.astype("uint8") if array.dtype == bool else array
+        with_spacing(file, array, "tifffile", **options)
+        return array
+
+    def write(file, array, given=True, spacing=(0.5, 1.25, 3.0), **options):
+        options = {"photometric": "minisblack", **options}
+        tifffile.imwrite(folder / file, array.transpose(2, 1, 0), **options)
+        assert np.array_equal(by_tifffile(f"tiff/{file}", spacing=spacing, is_given=given), array), file
+
+    for name in NAMES:
+        write(f"type_{name}.tif", voxels(name), rowsperstrip=3)
+    write("big_endian.tif", voxels("uint16"), byteorder=">")
+    write("bigtiff.tif", voxels("int32"), bigtiff=True)
+    write("bigtiff_big_endian.tif", voxels("float64"), bigtiff=True, byteorder=">", compression="zlib", predictor=3)
+    for method in ["lzw", "zlib", "packbits"]:
+        write(f"{method}.tif", voxels("uint8"), compression=method, rowsperstrip=2)
+    for name in ["uint8", "int16", "uint32", "int64"]:
+        write(f"differences_{name}.tif", voxels(name), compression="lzw", predictor=2)
+    write("differences_big_endian.tif", voxels("uint16"), compression="zlib", predictor=2, byteorder=">")
+    for name in ["float32", "float64"]:
+        write(f"differences_{name}.tif", voxels(name), compression="zlib", predictor=3)
+    write("tiles.tif", voxels("uint16"), tile=(16, 16), compression="zlib", predictor=2)
+    write("tiles_float32.tif", voxels("float32"), tile=(16, 16), compression="lzw", predictor=3)
+    write("white_is_zero.tif", voxels("uint8"), photometric="miniswhite")
+    write("palette.tif", voxels("uint8"), photometric="palette", colormap=np.zeros((3, 256), "uint16"))
+    bits = (voxels("uint8") > 210).astype("uint8")
+    tifffile.imwrite(folder / "bits.tif", bits.transpose(2, 1, 0) == 1, photometric="minisblack")
+    assert np.array_equal(by_tifffile("tiff/bits.tif"), bits)
+
+    imagej = {"imagej": True, "resolution": (2, 0.8), "given": False}
+    write("imagej.tif", voxels("uint16"), **imagej, metadata={"axes": "ZYX", "spacing": 3.0, "unit": "mm"})
+    micro = {"axes": "ZYX", "spacing": 3.0, "unit": "\\u00B5m"}
+    write("imagej_micro.tif", voxels("float32"), **imagej, spacing=(5e-4, 1.25e-3, 3e-3), metadata=micro)
+    write("imagej_no_z.tif", voxels("uint8"), **imagej, spacing=(5e-4, 1.25e-3, 1e-3),
+          metadata={"axes": "ZYX", "unit": "micron"})
+    # a stack above 4 GB has one page, which is followed by the pixels of the others
+    tifffile.imwrite(folder / "imagej_one_page.tif", voxels("uint16").transpose(2, 1, 0), photometric="minisblack",
+                     imagej=True, truncate=True, resolution=(2, 0.8),
+                     metadata={"axes": "ZYX", "spacing": 3.0, "unit": "mm"})
+    series = tifffile.imread(folder / "imagej_one_page.tif").transpose(2, 1, 0)
+    assert np.array_equal(series, voxels("uint16")) and len(tifffile.TiffFile(folder / "imagej_one_page.tif").pages) == 1
+    with_spacing("tiff/imagej_one_page.tif", series, "tifffile", is_given=False)
+    size = {f"PhysicalSize{axis}": length for axis, length in zip("XYZ", [0.5, 1.25, 3.0])}
+    write("ome.ome.tif", voxels("uint8"), given=False, spacing=(5e-4, 1.25e-3, 3e-3), metadata={"axes": "ZYX", **size})
+    units = {f"PhysicalSize{axis}Unit": "mm" for axis in "XYZ"}
+    write("ome_mm.ome.tif", voxels("uint16"), given=False, metadata={"axes": "ZYX", **size, **units})
+    write("resolution.tif", voxels("uint8"), resolution=(20, 8), resolutionunit="CENTIMETER")
+
+    slices = [Image.fromarray(plane) for plane in voxels("uint8").transpose(2, 1, 0)]
+    slices[0].save(folder / "pillow.tif", save_all=True, append_images=slices[1:], compression="tiff_lzw", dpi=(72, 72))
+    assert np.array_equal(by_tifffile("tiff/pillow.tif"), voxels("uint8"))
+    skimage.io.imsave(folder / "skimage.tif", voxels("float32").transpose(2, 1, 0), check_contrast=False,
+                      photometric="minisblack")
+    assert np.array_equal(by_tifffile("tiff/skimage.tif"), voxels("float32"))
+    sitk.WriteImage(sitk.GetImageFromArray(voxels("int16").transpose(2, 1, 0)), str(folder / "itk.tif"), True)
+    assert np.array_equal(by_tifffile("tiff/itk.tif"), voxels("int16"))
+    natural = HERE / "tiff_slices"
+    natural.mkdir(exist_ok=True)
+    for number, plane in zip([2, 10], voxels("uint16").transpose(2, 1, 0)):
+        tifffile.imwrite(natural / f"slice{number}.tif", plane, byteorder="<>"[number == 10])
+    with_spacing("tiff_slices", voxels("uint16"), "tifffile")
+    refuse_tiffs(folder)
+
+
+def refuse_tiffs(folder):
+    """Write TIFF files that are not volumes."""
+    planes = voxels("uint16").transpose(2, 1, 0)
+
+    def refused(file, word, array=planes, **options):
+        tifffile.imwrite(folder / file, array, **{"photometric": "minisblack", **options})
+        expected["refused"][f"tiff/{file}"] = word
+
+    refused("no_colour.tif", "3 values per pixel", np.zeros((2, 4, 5, 3), "uint8"), photometric="rgb")
+    refused("no_channels.tif", "2 channels", np.stack([planes] * 2, axis=1), imagej=True, metadata={"axes": "ZCYX"})
+    refused("no_time.tif", "3 frames", np.stack([planes] * 3), imagej=True, metadata={"axes": "TZYX"})
+    refused("no_ome_time.ome.tif", "3 time points", np.stack([planes] * 3), metadata={"axes": "TZYX"})
+    refused("no_volumes.tif", "2 volumes", np.stack([planes] * 2))
+    refused("no_pages.tif", "flat image of 3 x 4 pixels", planes[0])
+    refused("no_half.tif", "floating-point numbers of 16 bits", planes.astype("float16"))
+    refused("no_zstd.tif", "compressed with zstd", compression="zstd")
+    refused("no_spacing.tif", "spacing")
+    refused("no_z.tif", "0.5 x 1.25 mm), not along z", resolution=(20, 8), resolutionunit="CENTIMETER")
+    whole = (folder / "lzw.tif").read_bytes()
+    (folder / "no_end.tif").write_bytes(whole[:-20])
+    expected["refused"]["tiff/no_end.tif"] = "damaged TIFF file"
+    mixed = HERE / "tiff_mixed"
+    mixed.mkdir(exist_ok=True)
+    tifffile.imwrite(mixed / "a.tif", planes[0])
+    tifffile.imwrite(mixed / "preview.tif", planes[0][:2])
+    expected["refused"]["tiff_mixed"] = "3 x 2 pixels"
+
+
 def make_vti():
     folder = HERE / "vti"
     folder.mkdir(exist_ok=True)
@@ -529,7 +632,7 @@ def make_edited():
 
 
 MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze, "mgh": make_mgh, "npy": make_npy,
-          "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
+          "tiff": make_tiff, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
           "dicom": make_dicom, "edited": make_edited}
 wanted = sys.argv[1:] or list(MAKERS)
 order = []
