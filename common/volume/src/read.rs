@@ -38,8 +38,9 @@ enum Format {
     VtkImage,
 }
 
-/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a NIfTI file, a VTK
-/// image, or a folder of DICOM slices or of masks, one file per object.
+/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a file in NIfTI or
+/// Analyze 7.5, a volume of FreeSurfer, a TIFF stack, a VTK image, or a folder of DICOM slices, of
+/// TIFF slices or of masks, one file per object.
 ///
 /// # Errors
 /// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
@@ -211,8 +212,9 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     Err(bad(
         path,
         "has an unknown format",
-        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK \
-         image files (.vti) and folders of DICOM slices or masks",
+        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr and .img), \
+         FreeSurfer (.mgh, .mgz), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image files (.vti) and \
+         folders of DICOM slices, TIFF slices or masks",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }

@@ -5,7 +5,24 @@ use std::path::Path;
 
 /// File name suffixes that are not part of the name of the results. The first match is removed, so
 /// `.seg.nrrd` comes before `.nrrd`.
-const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
+const ENDINGS: [&str; 16] = [
+    ".seg.nrrd",
+    ".nii.gz",
+    ".ome.tif",
+    ".nrrd",
+    ".nhdr",
+    ".nii",
+    ".hdr",
+    ".mgz",
+    ".mgh",
+    ".mha",
+    ".mhd",
+    ".tiff",
+    ".tif",
+    ".npy",
+    ".vti",
+    ".dcm",
+];
 
 /// Returns the name of a volume's results: the file or folder name without a known suffix.
 ///
