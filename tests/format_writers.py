@@ -33,7 +33,7 @@ import tifffile
 import vtk
 import zarr
 from pydicom.dataset import Dataset
-from pydicom.uid import UID, ExplicitVRLittleEndian, JPEG2000Lossless, JPEGLSLossless, RLELossless, generate_uid
+from pydicom.uid import UID, ExplicitVRLittleEndian, JPEG2000Lossless, RLELossless, generate_uid
 from vtk.util.numpy_support import numpy_to_vtk
 
 TURN = np.array([[0.36, -0.8, 0.48], [0.48, 0.6, 0.64], [-0.8, 0.0, 0.6]])
@@ -72,7 +72,7 @@ class Ball:
         inward *= 100
         if self.noise:
             inward += self.noise * np.random.default_rng(1).standard_normal(self.size, dtype=np.float32)
-        return np.clip(np.round(inward), -2000, 2000).astype(np.int16)
+        return np.clip(np.round(inward), -32000, 32000).astype(np.int16)
 
     @property
     def lps(self) -> np.ndarray:
@@ -199,12 +199,12 @@ by_nibabel("FreeSurfer .mgz", ".mgz", nibabel.MGHImage, is_large=True)
 
 @writes("Analyze 7.5", "nibabel")
 def analyze(folder: Path, ball: Ball, kind: str) -> Written:
-    """Write a pair of files, which have a spacing but no pose."""
+    """Write a pair of files, which have no pose: nibabel puts the centre at the origin."""
     path = folder / f"{kind}.img"
     image = nibabel.AnalyzeImage(ball.array(kind), None)
     image.header.set_zooms(ball.spacing)
     nibabel.save(image, path)
-    return Written(path, ball.unposed)
+    return Written(path, TO_RAS @ nibabel.load(path).affine)
 
 
 by_itk("MetaImage .mha, zlib", ".mha", compress=True, is_large=True)
@@ -298,7 +298,6 @@ def by_pydicom(name: str, syntax: UID, *, is_large: bool = False) -> None:
 
 
 by_pydicom("RLE", RLELossless)
-by_pydicom("JPEG-LS", JPEGLSLossless, is_large=True)
 by_pydicom("JPEG 2000", JPEG2000Lossless, is_large=True)
 
 

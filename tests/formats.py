@@ -1,7 +1,7 @@
 """Write one ball in every input format, mesh each file, and compare the meshes.
 
-    make formats                                     # or, with the packages of formats-requirements.txt:
-    tests/formats.py --bin target/release --work out/formats [--only dicom tiff] [--data DATA] [--large]
+    make formats                     # installs the packages of formats-requirements.txt
+    tests/formats.py --bin target/release --work out/formats [--only WORD ...] [--data DATA]
 
 `format_writers.py` writes the files by the programs that people use. The mesh of each file must
 equal that of the NRRD file to 1e-4 mm in world coordinates; for formats without a pose, the world
@@ -138,9 +138,9 @@ def field_by_package(file: Written, kind: str, field: Path) -> float:
 
 
 def difference(found: pyvista.PolyData, reference: pyvista.PolyData, matrix: np.ndarray) -> float:
-    """Return the largest difference between the vertices of a mesh and those of the moved reference.
+    """Return the largest difference between the vertices of a mesh and those of the reference.
 
-    The meshes must have the same triangles; a mirroring may reverse them.
+    The matrix moves the reference. The triangles must be the same; a mirroring may reverse them.
     """
     moved = reference.points @ matrix[:3, :3].T + matrix[:3, 3]
     same = found.n_points == reference.n_points and found.n_cells == reference.n_cells
@@ -233,7 +233,7 @@ def twelve_masks(labels: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def reassigned(masks: dict[str, np.ndarray]) -> Counter[tuple[str, str]]:
-    """Count the voxels of several masks by the mask that keeps them, the smallest, and each other."""
+    """Count the voxels of several masks by the smallest, which keeps them, and each other mask."""
     names = sorted(masks, key=lambda name: int(masks[name].sum()))
     pairs: Counter[tuple[str, str]] = Counter()
     free = np.ones(next(iter(masks.values())).shape, dtype=bool)
