@@ -534,7 +534,7 @@ def by_ome_zarr(name: str, layout: Any, *, is_large: bool = False) -> None:
         levels = [ball.array(kind).T, ball.array(kind).T[::2, ::2, ::2]]
         transforms = [[{"type": "scale", "scale": [step * 2**n for step in steps]}] for n in range(2)]
         ome_zarr.writer.write_multiscale(levels, group, fmt=layout, axes=axes, coordinate_transformations=transforms)
-        return Written(path, ball.unposed, array="0")
+        return Written(path, ball.unposed, array="s0")
 
 
 by_ome_zarr("0.4", ome_zarr.format.FormatV04())

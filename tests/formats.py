@@ -124,7 +124,7 @@ def read_by_package(file: Written) -> tuple[Any, float]:
     try:
         image = images.source(file.path, file.spacing, dataset=file.array)
     except Exception as error:
-        raise FailedError(f"{type(error).__name__}: {error}") from error
+        raise FailedError(str(error).splitlines()[0]) from error
     return image, time.perf_counter() - start
 
 
@@ -296,10 +296,11 @@ DECODERS: dict[str, tuple[bool, Callable[[Path], object]]] = {
     "folder of slices": (True, lambda path: [tifffile.imread(file) for file in files_of(path)]),
     "HDF5": (True, lambda path: h5py.File(path)["group/ball"][...]),
     ".mat 5": (True, lambda path: zlib.decompress(path.read_bytes()[136:])),
-    "Zarr": (True, lambda path: zarr.open(path)["0"][...]),
+    "Zarr": (True, lambda path: zarr.open(path)["s0"][...]),
     "": (False, lambda path: [file.read_bytes() for file in files_of(path)]),
 }
-"""By a part of the name of the format: whether it is compressed, and what only decompresses it."""
+"""By a part of the name of a format: whether it is compressed, and what decompresses it, which is
+zlib or the library of the program that wrote it."""
 
 
 def seconds_of(action: Callable[[], object]) -> float:
