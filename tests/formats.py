@@ -304,9 +304,9 @@ zlib or the library of the program that wrote it."""
 
 
 def seconds_of(action: Callable[[], object]) -> float:
-    """Return the shorter of two times."""
+    """Return the shortest of three times."""
     times = []
-    for _ in range(2):
+    for _ in range(3):
         start = time.perf_counter()
         action()
         times.append(time.perf_counter() - start)
@@ -326,7 +326,7 @@ def read_times(programs: Programs, work: Path, only: list[str]) -> bool:
             is_compressed, decode = next(found for name, found in DECODERS.items() if name in writer.name)
             size = sum(part.stat().st_size for part in files_of(file.path)) / 1e6
             alone = seconds_of(lambda: decode(file.path))  # noqa: B023 - called at once
-            taken = min(read_alone(programs, file, folder) for _ in range(2))
+            taken = min(read_alone(programs, file, folder) for _ in range(3))
             is_slow = is_compressed and taken > MOST_TIMES * alone
             fits &= not is_slow
             text = f"{size:.0f} | {alone:.2f} | {taken:.2f} | {taken / alone:.2f}{' FAILED' if is_slow else ''}"
