@@ -35,7 +35,7 @@ THREADS ?=
 # Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
@@ -96,7 +96,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebooks
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -144,6 +144,8 @@ Volumes in, simulation-ready meshes out.
                                                invalid rows
   make bench-solvers                           solve a known problem with every installed finite-element program,
                                                from its own file format
+  make formats                                 write a ball in every input format by other programs, and compare the
+                                               meshes (BENCH_OPTIONS="--only dicom", --large: times to read 512^3)
   make bench-paper                             measure the paper's Tables 1 to 4, as rows of docs/results/paper.json
                                                (BENCH_OPTIONS=--quick, for example)
   make bench-growth                            measure time and memory of every stage by voxels, particles, cores and
@@ -165,6 +167,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   SCALE=...     smooth away features below this, mm      BORDER=...    cap or open
   SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
+  SPACE=...     world frame of the results: lps, ras, or scanner, that of INPUT [lps]
   SERIES=...    series to mesh, if a folder of DICOM files contains several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
@@ -450,6 +453,17 @@ bench-solvers: build env
 	    TETMESH_OPTIONS="--export inp,msh,msh2,med,xdmf --method hxt" || exit $$?; \
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
+
+# Writes one ball in every input format by the programs that people use, and compares the meshes of
+# the files. BENCH_OPTIONS="--large" measures the times to read 512^3 voxels instead.
+formats: build env $(BENCH_VENV)-formats/.made
+	@PYTHONPATH=pipelines/wheel/src $(BENCH_VENV)-formats/bin/python tests/formats.py --bin $(BIN) --work $(OUT)/formats \
+	  $(if $(wildcard $(DATA)/thorax_labels.nrrd),--data $(DATA)) $(BENCH_OPTIONS)
+
+$(BENCH_VENV)-formats/.made: tests/formats-requirements.txt | env
+	@$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-formats
+	@$(BENCH_VENV)-formats/bin/python -m pip install --quiet --disable-pip-version-check --no-input -r tests/formats-requirements.txt
+	@touch $@
 
 # Runs the notebooks with nbclient, which is installed in a folder outside the environment.
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook

@@ -40,6 +40,7 @@ fixtures() {
     numpy) ls $volume/npy/*.npy ;;
     meta_image) ls $volume/meta/*.mha $volume/meta/*.mhd ;;
     vtk_image) ls $volume/vti/*.vti ;;
+    dicom_object) ls $volume/dicom_objects/*.dcm $volume/dicom_objects/*/alone.dcm ;;
     field) ls $stage/golden/field_*.vti $stage/edited/*.vti ;;
     materials) ls $stage/golden/materials_*.vti ;;
     particles) ls $stage/golden/*.bin ;;

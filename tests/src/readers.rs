@@ -77,7 +77,7 @@ const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Opt
 }
 
 /// All readers.
-pub const READERS: [Reader; 20] = [
+pub const READERS: [Reader; 21] = [
     reader("nrrd", "nrrd", volume),
     reader("nifti", "nii", volume),
     reader("compressed_nifti", "nii.gz", volume),
@@ -89,6 +89,7 @@ pub const READERS: [Reader; 20] = [
     reader("meta_image", "mha", volume),
     reader("vtk_image", "vti", volume),
     reader("dicom", "dcm", series),
+    reader("dicom_object", "dicom", volume),
     reader("field", "vti", field),
     reader("materials", "vti", materials),
     reader("particles", "bin", particles),

@@ -10,12 +10,16 @@ use std::sync::LazyLock;
 
 static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common");
-    let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "analyze", "mgh", "npy", "tiff", "vti", "meta", "segmentation"]
-        .map(|folder| format!("volume/tests/data/{folder}"))
+    let volume = ["nrrd", "nifti", "analyze", "mgh", "npy", "tiff", "vti", "meta", "segmentation"];
+    let dicom = ["dicom_objects", "dicom_objects/contours"];
+    let mut paths: Vec<PathBuf> = [&volume[..], &dicom]
+        .concat()
         .into_iter()
+        .map(|folder| format!("volume/tests/data/{folder}"))
         .chain(["golden", "edited"].map(|folder| format!("stage/tests/data/{folder}")))
         .flat_map(|folder| std::fs::read_dir(root.join(folder)).expect("fixtures"))
         .map(|entry| entry.expect("entry").path())
+        .filter(|path| path.is_file())
         .collect();
     paths.sort();
     let name = |path: &Path| path.file_name().expect("a name").to_string_lossy().into_owned();
@@ -148,13 +152,18 @@ proptest! {
 
     #[test]
     fn a_series_with_a_changed_slice_is_read_or_refused(
-        series in prop::sample::select(vec!["oblique", "rle"]),
+        (series, slice, changed_slice) in prop::sample::select(vec![
+            ("dicom/oblique", "a.dcm", "b.dcm"),
+            ("dicom/rle", "a.dcm", "b.dcm"),
+            // a scan and its contours
+            ("dicom_objects/structures", "0.dcm", "rs.dcm"),
+        ]),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
     ) {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/volume/tests/data/dicom").join(series);
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/volume/tests/data").join(series);
         let folder = tempfile::tempdir().expect("folder");
-        std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
-        let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
+        std::fs::copy(from.join(slice), folder.path().join("a.dcm")).expect("copied");
+        let bytes = std::fs::read(from.join(changed_slice)).expect("fixture");
         std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
         if let Err(error) = read_volume(folder.path()).map_err(Error::from) {
             assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");

@@ -100,3 +100,19 @@ pub(crate) fn geometry_from_steps(
     }
     Ok(Geometry { size, spacing, directions, origin, space })
 }
+
+/// Fails if a spacing is given for a file that contains one.
+pub(crate) fn without_spacing(path: &Path, spacing: Option<DVec3>) -> Result<()> {
+    match spacing {
+        Some(spacing) => Err(bad(
+            path,
+            format!(
+                "contains the spacing of its voxels, and {} x {} x {} mm was given",
+                spacing.x, spacing.y, spacing.z
+            ),
+            "a second spacing would contradict that of the file",
+            "leave out the spacing; if that of the file is wrong, correct the file, for example with 3D Slicer",
+        )),
+        None => Ok(()),
+    }
+}

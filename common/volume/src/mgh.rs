@@ -55,7 +55,7 @@ pub(crate) fn read_mgh(path: &Path) -> Result<Volume> {
     // Reads the acquisition parameters and tags that follow the voxels, so that the checksum of
     // compressed data is verified.
     io::copy(&mut reader, &mut io::sink()).map_err(cannot)?;
-    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
+    Ok(Volume { remarks, ..Volume::new(geometry, voxels) }.in_lps())
 }
 
 fn scalar_type(path: &Path, code: i32) -> Result<ScalarType> {
@@ -77,7 +77,7 @@ fn scalar_type(path: &Path, code: i32) -> Result<ScalarType> {
     })
 }
 
-/// Returns the geometry in LPS. Without a valid orientation, FreeSurfer assumes coronal slices of
+/// Returns the geometry in RAS. Without a valid orientation, FreeSurfer assumes coronal slices of
 /// 1 mm voxels (nibabel 5.4 transposes their directions); then the space is unnamed.
 fn geometry(path: &Path, header: &[u8; HEADER_BYTES]) -> Result<(Geometry, Vec<String>)> {
     let declared = [1, 2, 3, 4].map(|n| integer(header, n));
@@ -96,15 +96,14 @@ fn geometry(path: &Path, header: &[u8; HEADER_BYTES]) -> Result<(Geometry, Vec<S
     let vector = |n: usize| DVec3::new(real(n), real(n + 1), real(n + 2));
     let is_good = header[28] < 0x80 && header[28..30] != [0, 0];
     let (spacing, axes, centre, space) = if is_good {
-        (vector(0), [vector(3), vector(6), vector(9)], vector(12), Space::Lps)
+        (vector(0), [vector(3), vector(6), vector(9)], vector(12), Space::Ras)
     } else {
-        (DVec3::ONE, [DVec3::NEG_X, DVec3::NEG_Z, DVec3::Y], DVec3::ZERO, Space::Unnamed)
+        (DVec3::ONE, [DVec3::X, DVec3::NEG_Z, DVec3::NEG_Y], DVec3::ZERO, Space::Unnamed)
     };
-    let to_lps = DVec3::new(-1.0, -1.0, 1.0);
-    let steps = [0, 1, 2].map(|axis| axes[axis] * spacing[axis] * to_lps);
+    let steps = [0, 1, 2].map(|axis| axes[axis] * spacing[axis]);
     // the world position in the header belongs to the index position of half the size
     let half = size.map(|n| n as f64 / 2.0);
-    let origin = centre * to_lps - steps[0] * half[0] - steps[1] * half[1] - steps[2] * half[2];
+    let origin = centre - steps[0] * half[0] - steps[1] * half[1] - steps[2] * half[2];
     let remark = "the header has no valid orientation; coronal slices of 1 mm voxels are assumed, as in FreeSurfer";
     let remarks = if is_good { Vec::new() } else { vec![remark.to_owned()] };
     Ok((geometry_from_steps(path, size, steps, origin, space)?, remarks))

@@ -87,7 +87,7 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     let extensions = before.get(if is_pair { 0 } else { header.bytes }..).unwrap_or_default();
     let segments = names::names(extensions, header.endian, &mut remarks);
     let voxels = scaled(voxels, header.slope, header.intercept, &mut remarks);
-    Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
+    Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) }.in_lps())
 }
 
 /// Returns the voxel file that belongs to a separate header.
@@ -154,7 +154,7 @@ fn size(path: &Path, header: &Header) -> Result<[usize; 3]> {
     Ok(size)
 }
 
-/// Returns the geometry in mm, and in LPS if the header defines an orientation. Uses the sform if
+/// Returns the geometry in mm, and in RAS if the header defines an orientation. Uses the sform if
 /// it is valid, otherwise the qform, otherwise only the voxel spacings.
 fn geometry(path: &Path, header: &Header) -> Result<(Geometry, Vec<String>)> {
     let size = size(path, header)?;
@@ -176,12 +176,8 @@ fn geometry(path: &Path, header: &Header) -> Result<(Geometry, Vec<String>)> {
         remarks.push("the header has no orientation; axis-aligned voxels at the origin are assumed".to_owned());
         (DMat3::from_diagonal(header.spacing()), DVec3::ZERO, Space::Unnamed)
     };
-    let to_lps = match space {
-        Space::Lps => DVec3::new(-1.0, -1.0, 1.0),
-        Space::Unnamed => DVec3::ONE,
-    };
-    let steps = [0, 1, 2].map(|axis| steps.col(axis) * to_lps * millimetres);
-    Ok((geometry_from_steps(path, size, steps, origin * to_lps * millimetres, space)?, remarks))
+    let steps = [0, 1, 2].map(|axis| steps.col(axis) * millimetres);
+    Ok((geometry_from_steps(path, size, steps, origin * millimetres, space)?, remarks))
 }
 
 /// Returns the geometry of an Analyze file, in the frame that becomes LPS if x runs from right to
@@ -200,15 +196,13 @@ fn analyze_geometry(path: &Path, header: &Header, start: &[u8]) -> Result<(Geome
     Ok((geometry_from_steps(path, size, axes, -origin * steps, Space::Unnamed)?, vec![remark.to_owned()]))
 }
 
-/// Returns the sform as the vectors between neighbouring voxels, the origin and the space. The
-/// coordinates are RAS; the caller converts them to LPS.
+/// Returns the sform as the vectors between neighbouring voxels, the origin and the space.
 fn sform(header: &Header) -> (DMat3, DVec3, Space) {
     let column = |axis: usize| DVec3::from_array(header.srow.map(|row| row[axis]));
-    (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
+    (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Ras)
 }
 
-/// Returns the qform as the vectors between neighbouring voxels, the origin and the space. The
-/// coordinates are RAS; the caller converts them to LPS.
+/// Returns the qform as the vectors between neighbouring voxels, the origin and the space.
 fn qform(header: &Header) -> (DMat3, DVec3, Space) {
     let vector = header.quatern;
     // The first component of the quaternion is not stored. The norm of the other three may exceed
@@ -219,7 +213,7 @@ fn qform(header: &Header) -> (DMat3, DVec3, Space) {
     if header.pixdim[0] < 0.0 {
         spacing.z = -spacing.z;
     }
-    (rotation * DMat3::from_diagonal(spacing), header.qoffset, Space::Lps)
+    (rotation * DMat3::from_diagonal(spacing), header.qoffset, Space::Ras)
 }
 
 /// Maximum number of extension bytes that are read. This is enough for 65,535 label names of 256

@@ -3,6 +3,7 @@
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
+use crate::limit::without_spacing;
 use crate::volume::Volume;
 use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, tiff, voxel_data, vti};
 use glam::DVec3;
@@ -19,10 +20,10 @@ const START_BYTES: u64 = 512;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
     /// Description, number or UID of the series to read from a folder of DICOM files. Required only
-    /// if the folder contains several series.
+    /// if the folder contains several series, or a multi-frame file several volumes.
     pub series: Option<&'a str>,
     /// Distance in mm between neighbouring voxel centres along each axis, always positive. Only for
-    /// files that do not contain it.
+    /// files that do not contain it, and for contours without their slices.
     pub spacing: Option<DVec3>,
 }
 
@@ -39,8 +40,9 @@ enum Format {
 }
 
 /// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a file in NIfTI or
-/// Analyze 7.5, a volume of FreeSurfer, a TIFF stack, a VTK image, or a folder of DICOM slices, of
-/// TIFF slices or of masks, one file per object.
+/// Analyze 7.5, a volume of FreeSurfer, a TIFF stack, a NumPy array, a VTK image, DICOM (a folder
+/// of slices, or a multi-frame image, segmentation or structure set), or a folder of TIFF slices or
+/// of masks, one file per object.
 ///
 /// # Errors
 /// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
@@ -62,6 +64,9 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
+    if dicom::is_dicom(&start) {
+        return dicom::read_file(path, options.series, options.spacing);
+    }
     let format = format(path, &start)?;
     without_series(path, options)?;
     let read = match format {
@@ -73,7 +78,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
         Format::Mgh => mgh::read_mgh,
         Format::VtkImage => vti::read_vti,
     };
-    without_spacing(path, options)?;
+    without_spacing(path, options.spacing)?;
     read(path)
 }
 
@@ -90,22 +95,6 @@ fn without_series(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
     }
 }
 
-/// Fails if a spacing is given for a file that contains one.
-fn without_spacing(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
-    match options.spacing {
-        Some(spacing) => Err(bad(
-            path,
-            format!(
-                "contains the spacing of its voxels, and {} x {} x {} mm was given",
-                spacing.x, spacing.y, spacing.z
-            ),
-            "a second spacing would contradict that of the file",
-            "leave out the spacing; if that of the file is wrong, correct the file, for example with 3D Slicer",
-        )),
-        None => Ok(()),
-    }
-}
-
 /// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks or TIFF
 /// slices.
 fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
@@ -116,8 +105,7 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
     let slices: Vec<PathBuf> = files.iter().filter(|path| dicom::is_dicom_file(path)).cloned().collect();
     if !slices.is_empty() {
-        without_spacing(folder, options)?;
-        return dicom::read_series(folder, &slices, options.series);
+        return dicom::read_series(folder, &slices, options.series, options.spacing);
     }
     let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
     files.retain(|path| masks::mask_name(path).is_some());
@@ -135,7 +123,7 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     }
     if !files.is_empty() {
         without_series(folder, options)?;
-        without_spacing(folder, options)?;
+        without_spacing(folder, options.spacing)?;
         return masks::read_masks(folder, &files, read_volume);
     }
     let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
@@ -213,8 +201,8 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
         path,
         "has an unknown format",
         "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr and .img), \
-         FreeSurfer (.mgh, .mgz), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image files (.vti) and \
-         folders of DICOM slices, TIFF slices or masks",
+         FreeSurfer (.mgh, .mgz), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image files (.vti), DICOM and \
+         folders of TIFF slices or masks",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }
@@ -222,9 +210,6 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
 /// Detects the contents of a file that has a known format but does not contain a volume.
 fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
-    if dicom::is_dicom(start) {
-        return Some(Content::DicomSlice);
-    }
     if has(b"<VTKFile") {
         return match () {
             () if has(b"\"PolyData\"") => Some(Content::SurfaceVtk),

@@ -3,7 +3,9 @@
 //! `tests/data/make_fixtures.py`.
 
 use glam::DVec3;
-use isoparticles_volume::{Content, Error, LayerLabel, ReadOptions, Volume, Voxels, read_volume, read_volume_with};
+use isoparticles_volume::{
+    Content, Error, LayerLabel, ReadOptions, Space, Volume, Voxels, read_volume, read_volume_with,
+};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -68,6 +70,26 @@ fn other_programs_see_the_same_voxels_in_the_same_places() {
 }
 
 #[test]
+fn the_frame_of_the_file_is_known() {
+    for (file, file_space) in [
+        ("nrrd/space_ras.nrrd", Space::Ras),
+        ("nrrd/space_las.nrrd", Space::Lps),
+        ("nrrd/itk.nrrd", Space::Lps),
+        ("nrrd/space_unnamed.nrrd", Space::Unnamed),
+        ("nifti/sform.nii", Space::Ras),
+        ("nifti/qform.nii.gz", Space::Ras),
+        ("meta/orientation.mha", Space::Lps),
+        ("dicom/oblique", Space::Lps),
+        ("vti/pyvista.vti", Space::Unnamed),
+    ] {
+        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.file_space, file_space, "{file}");
+        let is_named = file_space != Space::Unnamed;
+        assert_eq!(volume.geometry.space, if is_named { Space::Lps } else { Space::Unnamed }, "{file}");
+    }
+}
+
+#[test]
 fn segments_have_names_and_layers() {
     let read =
         |name: &str| read_volume(&data().join("segmentation").join(name)).unwrap_or_else(|error| panic!("{error}"));
@@ -91,7 +113,7 @@ fn segments_have_names_and_layers() {
 #[test]
 fn what_is_no_volume_is_told_by_what_it_is() {
     let folder = tempfile::tempdir().expect("folder");
-    let starts: [(&str, &[u8], Content); 10] = [
+    let starts: [(&str, &[u8], Content); 9] = [
         ("a.vtp", b"<VTKFile type=\"PolyData\">", Content::SurfaceVtk),
         ("a.vtu", b"<VTKFile type=\"UnstructuredGrid\">", Content::TetrahedraVtk),
         ("a.vtk", b"# vtk DataFile Version 3.0", Content::LegacyVtk),
@@ -101,7 +123,6 @@ fn what_is_no_volume_is_told_by_what_it_is() {
         ("seeds", b"ISOPART\n\x01\0\0\0", Content::Seeds),
         ("settled", b"ISOPART\n\x02\0\0\0", Content::Particles),
         ("checkpoint", b"ISOPART\n\x03\0\0\0", Content::Checkpoint),
-        ("slice", &[&[0; 128][..], b"DICM"].concat(), Content::DicomSlice),
     ];
     for (name, bytes, is) in starts {
         let path = folder.path().join(name);

@@ -195,6 +195,7 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
             ("--labels", "LABELS"),
             ("--inside", "INSIDE"),
             ("--border", "BORDER"),
+            ("--space", "SPACE"),
         ],
         "sizefield" => &[
             ("--epsilon", "EPSILON"),

@@ -21,7 +21,7 @@ pub(crate) struct Volume(Mutex<Option<isoparticles_volume::Volume>>);
 impl Volume {
     /// Copies an array whose axes are x, y and z. `slabs` returns its parts along z, in order. The
     /// caller has checked the geometry: `spacing` and `origin` are in mm, and `axes` contains the
-    /// unit vectors of the three axes. `is_lps` states that the world frame is LPS.
+    /// unit vectors of the three axes. `space` is the world frame: `lps`, `ras` or none.
     #[new]
     fn new(
         slabs: &Bound<'_, PyIterator>,
@@ -30,7 +30,7 @@ impl Volume {
         spacing: [f64; 3],
         origin: [f64; 3],
         axes: [[f64; 3]; 3],
-        is_lps: bool,
+        space: Option<&str>,
     ) -> PyResult<Self> {
         let count = size.iter().product();
         let voxels = match dtype {
@@ -51,9 +51,13 @@ impl Volume {
             spacing: DVec3::from_array(spacing),
             directions: DMat3::from_cols_array_2d(&axes),
             origin: DVec3::from_array(origin),
-            space: if is_lps { Space::Lps } else { Space::Unnamed },
+            space: match space {
+                Some("lps") => Space::Lps,
+                Some("ras") => Space::Ras,
+                _ => Space::Unnamed,
+            },
         };
-        Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels)))))
+        Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels).in_lps()))))
     }
 
     /// Joins masks into a label volume whose segments have the given names. A mask is a volume or

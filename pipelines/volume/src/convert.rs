@@ -1,15 +1,16 @@
 //! Writes a volume as a VTK image.
 
 use crate::Input;
-use isoparticles_stage::cli::{CommonArgs, Context, FILES};
+use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD};
 use isoparticles_stage::error::Result;
+use isoparticles_stage::space::SpaceChoice;
 use isoparticles_volume::write_volume;
 use std::path::PathBuf;
 
 /// Write a volume as a VTK image file
 ///
-/// The voxels keep their type. The image has the same world coordinates as the meshes (LPS for
-/// anatomical volumes) and contains the label names.
+/// The voxels keep their type. With the same --space, the image has the same world coordinates as
+/// the meshes. It contains the label names.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -17,13 +18,18 @@ pub(crate) struct Args {
     /// VTK image file to write
     #[arg(short, long, value_name = "V.vti", help_heading = FILES)]
     pub(crate) output: PathBuf,
+    /// World frame: lps, ras, or scanner, the frame of the input file. A volume without an
+    /// anatomical space keeps its coordinates
+    #[arg(long, value_enum, value_name = "FRAME", default_value_t = SpaceChoice::Lps, help_heading = METHOD)]
+    pub(crate) space: SpaceChoice,
     #[command(flatten)]
     pub(crate) common: CommonArgs,
 }
 
 /// Reads and writes the volume.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<()> {
-    let volume = args.input.read(context)?;
+    let mut volume = args.input.read(context)?;
+    volume.geometry = args.space.of(volume.geometry, Some(volume.file_space))?;
     let _step = context.step("write");
     Ok(write_volume(&args.output, &volume, &context.history())?)
 }

@@ -73,7 +73,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         match &self.verb {
             Verb::Info(args) => args.parameters(),
-            Verb::Convert(args) => json!({ "series": args.input.series }),
+            Verb::Convert(args) => json!({ "series": args.input.series, "space": args.space }),
         }
     }
 }

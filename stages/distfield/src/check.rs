@@ -27,6 +27,7 @@ pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
         read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref(), ..ReadOptions::default() })?;
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     check_kind(args, &volume, &Context::silent("distfield")).map_err(about_file)?;
+    args.space.of(volume.geometry.clone(), Some(volume.file_space)).map_err(about_file)?;
     let mut materials = Vec::new();
     if !args.material.is_empty() {
         let chosen = resolve(&args.material, &volume).map_err(about_file)?;

@@ -19,6 +19,7 @@ use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
+use isoparticles_stage::space;
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with};
 use serde_json::{Map, Value, json};
@@ -76,12 +77,15 @@ pub struct Made {
 /// # Errors
 /// If the volume does not contain the selected surface, if there is not enough memory, or if the
 /// run is interrupted.
-pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
+pub fn compute(args: &Args, mut volume: Volume, context: &Context) -> Result<Made> {
     for remark in &volume.remarks {
         context.warn(remark);
     }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     check_kind(args, &volume, context).map_err(about_file)?;
+    volume.geometry = args.space.of(volume.geometry, Some(volume.file_space)).map_err(about_file)?;
+    context.set_parameter("space", space::parameter(volume.geometry.space));
+    context.set_parameter(space::FILE_SPACE, space::parameter(volume.file_space));
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;

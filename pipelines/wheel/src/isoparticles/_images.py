@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,7 +59,7 @@ def source(
     named = [name for name, value in given if value is not None]
     if isinstance(image, np.ndarray):
         axes, steps = _axes(direction), _three("spacing", spacing, 1.0)
-        return _volume(image, axes * steps, _three("origin", origin, 0.0), is_lps=False)
+        return _volume(image, axes * steps, _three("origin", origin, 0.0))
     if named:
         raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
     if isinstance(image, (str, os.PathLike)):
@@ -94,7 +94,7 @@ def _of_simpleitk(image: Image) -> Source:
         raise ValueError("the image must have three dimensions and one value per voxel")
     array = sys.modules["SimpleITK"].GetArrayViewFromImage(image)
     axes = np.array(image.GetDirection(), dtype=float).reshape(3, 3)
-    return _volume(np.asarray(array).T, axes * np.array(image.GetSpacing()), np.array(image.GetOrigin()), is_lps=True)
+    return _volume(np.asarray(array).T, axes * np.array(image.GetSpacing()), np.array(image.GetOrigin()), "lps")
 
 
 def _of_nibabel(image: Image) -> Source:
@@ -103,9 +103,8 @@ def _of_nibabel(image: Image) -> Source:
         array = array[..., 0]
     header: Any = getattr(image, "header", None)
     unit = header.get_xyzt_units()[0] if hasattr(header, "get_xyzt_units") else "mm"
-    # nibabel's world frame is RAS
-    affine = np.diag([-1.0, -1.0, 1.0]) @ np.asarray(image.affine, dtype=float)[:3] * UNITS_MM.get(unit, 1.0)
-    return _volume(array, affine[:, :3], affine[:, 3], is_lps=True)
+    affine = np.asarray(image.affine, dtype=float)[:3] * UNITS_MM.get(unit, 1.0)
+    return _volume(array, affine[:, :3], affine[:, 3], "ras")
 
 
 def _of_pyvista(image: Image) -> Source:
@@ -118,7 +117,7 @@ def _of_pyvista(image: Image) -> Source:
     if values is None:
         raise ValueError("the image has no single scalar array on its points or cells: make one of them active")
     axes = np.asarray(image.direction_matrix, dtype=float) * np.array(image.spacing)
-    return _volume(values.reshape(size, order="F"), axes, np.array(image.origin) + axes @ first, is_lps=False)
+    return _volume(values.reshape(size, order="F"), axes, np.array(image.origin) + axes @ first)
 
 
 def _scalars(arrays: Any) -> NDArray[Any] | None:
@@ -131,8 +130,13 @@ def _scalars(arrays: Any) -> NDArray[Any] | None:
     return None if name is None else np.asarray(arrays[name])
 
 
-def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, is_lps: bool) -> Source:
-    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm."""
+def _volume(
+    array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], space: Literal["lps", "ras"] | None = None
+) -> Source:
+    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm.
+
+    ``space`` is the frame of ``steps`` and ``origin``.
+    """
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError("masked arrays are not supported: use array.filled(value)")
     name = array.dtype.newbyteorder("=").name
@@ -154,7 +158,7 @@ def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, i
         raise ValueError(f"the direction is singular: its axes {axes.T.tolist()} are (nearly) coplanar")
     # one part at a time, so that the order of the axes and the type change without a second copy
     slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
-    volume = _native.Volume(slabs, name, array.shape, spacing.tolist(), origin.tolist(), axes.T.tolist(), is_lps)
+    volume = _native.Volume(slabs, name, array.shape, spacing.tolist(), origin.tolist(), axes.T.tolist(), space)
     return Source("array", volume)
 
 

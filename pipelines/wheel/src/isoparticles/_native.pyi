@@ -24,7 +24,7 @@ class Volume:
         spacing: list[float],
         origin: list[float],
         axes: list[list[float]],
-        is_lps: bool,
+        space: str | None,
     ) -> Volume: ...
     @staticmethod
     def of_masks(masks: list[tuple[str, Volume | str]]) -> Volume: ...
@@ -41,6 +41,8 @@ class Data:
     def history(self) -> str: ...
     @property
     def materials(self) -> list[str]: ...
+    @property
+    def space(self) -> str | None: ...
     @property
     def grid(
         self,
