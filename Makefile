@@ -96,7 +96,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebooks
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -144,6 +144,8 @@ Volumes in, simulation-ready meshes out.
                                                invalid rows
   make bench-solvers                           solve a known problem with every installed finite-element program,
                                                from its own file format
+  make formats                                 write a ball in every input format by other programs, and compare the
+                                               meshes (BENCH_OPTIONS="--only dicom", --large: times to read 512^3)
   make bench-paper                             measure the paper's Tables 1 to 4, as rows of docs/results/paper.json
                                                (BENCH_OPTIONS=--quick, for example)
   make bench-growth                            measure time and memory of every stage by voxels, particles, cores and
@@ -452,6 +454,17 @@ bench-solvers: build env
 	    TETMESH_OPTIONS="--export inp,msh,msh2,med,xdmf --method hxt" || exit $$?; \
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
+
+# Writes one ball in every input format by the programs that people use, and compares the meshes of
+# the files. BENCH_OPTIONS="--large" measures the times to read 512^3 voxels instead.
+formats: build env $(BENCH_VENV)-formats/.made
+	@PYTHONPATH=pipelines/wheel/src $(BENCH_VENV)-formats/bin/python tests/formats.py --bin $(BIN) --work $(OUT)/formats \
+	  $(if $(wildcard $(DATA)/thorax_labels.nrrd),--data $(DATA)) $(BENCH_OPTIONS)
+
+$(BENCH_VENV)-formats/.made: tests/formats-requirements.txt | env
+	@$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-formats
+	@$(BENCH_VENV)-formats/bin/python -m pip install --quiet --disable-pip-version-check --no-input -r tests/formats-requirements.txt
+	@touch $@
 
 # Runs the notebooks with nbclient, which is installed in a folder outside the environment.
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook

@@ -1,10 +1,10 @@
 //! Medical volumes: voxels in their original number type, on a grid with a position and orientation
 //! in world coordinates.
 //!
-//! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
-//! DICOM slices or masks. Lengths are in mm. Unless stated otherwise, positions are in the *grid
-//! frame* (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the
-//! world frame.
+//! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, Analyze 7.5, volumes of FreeSurfer,
+//! MetaImage, TIFF, NumPy arrays, VTK images and folders of DICOM slices, TIFF slices or masks.
+//! Lengths are in mm. Unless stated otherwise, positions are in the *grid frame* (index times
+//! spacing, axis-aligned, right-handed). [`Geometry`] converts them to the world frame.
 //!
 //! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes VTK images.
 //! Other crates build their file formats on these two modules.
@@ -33,11 +33,14 @@ mod image;
 mod limit;
 pub mod masks;
 mod meta_image;
+mod mgh;
 mod nifti;
+mod npy;
 pub mod nrrd;
 mod read;
 mod segments;
 mod shear;
+mod tiff;
 mod units;
 mod volume;
 mod voxel_data;

@@ -22,8 +22,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Endings of the names of volume files. A mask has the name of its file without the ending.
-const ENDINGS: [&str; 10] =
-    [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
+const ENDINGS: [&str; 12] =
+    [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".mgz", ".mgh", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
 
 /// Maximum number of masks: a byte holds this many labels besides 0. TotalSegmentator writes 117.
 const MOST_MASKS: usize = u8::MAX as usize;

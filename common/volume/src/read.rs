@@ -6,8 +6,9 @@ use crate::error::{Content, Error, Result};
 use crate::foreign::foreign_content;
 use crate::limit::without_spacing;
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
+use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, tiff, voxel_data, vti};
 use glam::DVec3;
+use isoparticles_file::history::file_name;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -33,12 +34,16 @@ enum Format {
     Nrrd,
     MetaImage,
     Nifti,
+    Mgh,
+    Tiff,
+    NumPy,
     VtkImage,
 }
 
-/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a NIfTI file, a VTK
-/// image, DICOM (a folder of slices, or a multi-frame image, segmentation or structure set), or a
-/// folder of masks, one file per object.
+/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a file in NIfTI or
+/// Analyze 7.5, a volume of FreeSurfer, a TIFF stack, a NumPy array, a VTK image, DICOM (a folder
+/// of slices, or a multi-frame image, segmentation or structure set), or a folder of TIFF slices or
+/// of masks, one file per object.
 ///
 /// # Errors
 /// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
@@ -66,13 +71,17 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     if dicom::is_dicom(&start) {
         return dicom::read_file(path, options.series, options.spacing);
     }
-    let read = match format(path, &start)? {
+    let format = format(path, &start)?;
+    without_series(path, options)?;
+    let read = match format {
+        Format::Tiff => return tiff::read_tiff(path, options.spacing),
+        Format::NumPy => return npy::read_npy(path, options.spacing),
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
         Format::Nifti => nifti::read_nifti,
+        Format::Mgh => mgh::read_mgh,
         Format::VtkImage => vti::read_vti,
     };
-    without_series(path, options)?;
     without_spacing(path, options.spacing)?;
     read(path)
 }
@@ -90,7 +99,8 @@ fn without_series(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
     }
 }
 
-/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks.
+/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks or TIFF
+/// slices.
 fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
@@ -101,7 +111,20 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if !slices.is_empty() {
         return dicom::read_series(folder, &slices, options.series, options.spacing);
     }
+    let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
     files.retain(|path| masks::mask_name(path).is_some());
+    if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
+        return Err(bad(
+            folder,
+            format!("contains {} and {}", file_name(mask), file_name(slice)),
+            "TIFF files in a folder are read as slices, and other volumes as masks",
+            "move one kind of file to another folder",
+        ));
+    }
+    if !tiffs.is_empty() {
+        without_series(folder, options)?;
+        return tiff::read_tiff_folder(folder, tiffs, options.spacing);
+    }
     if !files.is_empty() {
         without_series(folder, options)?;
         without_spacing(folder, options.spacing)?;
@@ -111,9 +134,9 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };
     Err(bad(
         folder,
-        "is a folder without DICOM files or masks",
-        "a folder is read as the slices of one DICOM series, or as masks: one volume file per object, such as \
-         heart.nii.gz",
+        "is a folder without DICOM files, TIFF files or masks",
+        "a folder is read as the slices of one DICOM series or TIFF stack, or as masks: one volume file per object, \
+         such as heart.nii.gz",
         format!("use the volume's file, or the folder that contains the slices or masks{hint}"),
     ))
 }
@@ -129,6 +152,14 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
+/// Returns the first bytes of a gzip-compressed file, or fewer if they cannot be decompressed.
+fn decompressed_start(path: &Path) -> Vec<u8> {
+    let mut start = Vec::new();
+    // what was read before an error is kept
+    voxel_data::open(path).and_then(|stream| stream.take(START_BYTES).read_to_end(&mut start)).ok();
+    start
+}
+
 /// Detects the format of a file. Fails if the file is not a volume.
 fn format(path: &Path, start: &[u8]) -> Result<Format> {
     let name = path.to_string_lossy().to_lowercase();
@@ -137,8 +168,18 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if start.starts_with(b"NRRD") {
         return Ok(Format::Nrrd);
     }
-    if nifti::is_nifti(start) || nifti::is_compressed_nifti(path, start) {
+    let plain = if start.starts_with(&[0x1f, 0x8b]) { decompressed_start(path) } else { start.to_vec() };
+    if nifti::is_nifti(&plain) {
         return Ok(Format::Nifti);
+    }
+    if mgh::is_mgh(&plain) {
+        return Ok(Format::Mgh);
+    }
+    if tiff::byte_order(start).is_some() {
+        return Ok(Format::Tiff);
+    }
+    if npy::is_npy(start) {
+        return Ok(Format::NumPy);
     }
     if let Some(content) = no_volume(start, &ends) {
         return Err(Error::NotAVolume { path: path.to_path_buf(), content });
@@ -152,19 +193,20 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if ends(&[".nii", ".nii.gz"]) {
         return Ok(Format::Nifti);
     }
-    if ends(&[".nrrd", ".nhdr"]) {
+    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz", ".tif", ".tiff", ".npy"]) {
         return Err(bad(
             path,
-            "does not start with the letters NRRD",
-            "it is not an NRRD file, despite its name",
+            "does not start like a file with this ending",
+            "it is damaged, or its format is another one, despite its name",
             "write or download the file again",
         ));
     }
     Err(bad(
         path,
         "has an unknown format",
-        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK \
-         image files (.vti), DICOM and folders of masks",
+        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr and .img), \
+         FreeSurfer (.mgh, .mgz), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image files (.vti), DICOM and \
+         folders of TIFF slices or masks",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }

@@ -1,9 +1,11 @@
 //! Compares the readers with other programs. All fixtures in `tests/data` and their expected values
-//! were created with pynrrd, SimpleITK, Teem's unu, nibabel, pydicom and VTK; see
+//! were created with pynrrd, SimpleITK, Teem's unu, nibabel, pydicom, tifffile, NumPy and VTK; see
 //! `tests/data/make_fixtures.py`.
 
 use glam::DVec3;
-use isoparticles_volume::{Content, Error, LayerLabel, Space, Volume, Voxels, read_volume};
+use isoparticles_volume::{
+    Content, Error, LayerLabel, ReadOptions, Space, Volume, Voxels, read_volume, read_volume_with,
+};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -46,16 +48,20 @@ fn same_values(voxels: &Voxels, texts: &[String]) -> bool {
 fn other_programs_see_the_same_voxels_in_the_same_places() {
     let expected = expected();
     let volumes = expected["volumes"].as_object().expect("volumes");
-    assert!(volumes.len() >= 85);
+    assert!(volumes.len() >= 146);
     for (file, told) in volumes {
-        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        let spacing: Option<DVec3> =
+            told.get("spacing").map(|spacing| serde_json::from_value(spacing.clone()).expect("mm"));
+        let options = ReadOptions { spacing, ..ReadOptions::default() };
+        let volume = read_volume_with(&data().join(file), &options).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(volume.voxels.type_name(), told["type"], "{file}");
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores the geometry as 32-bit floats. VTK writes the origin with about the same
-        // precision.
-        let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
+        // NIfTI and FreeSurfer store the geometry as 32-bit floats. VTK writes the origin with
+        // about the same precision.
+        let is_exact = ["nrrd", "npy", "tiff"].iter().any(|folder| file.starts_with(folder));
+        let tolerance = if is_exact { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {
             let theirs = DVec3::from_array(theirs);
             assert!(ours.abs_diff_eq(theirs, tolerance), "{file}: {ours} is not {theirs} ({})", told["told_by"]);

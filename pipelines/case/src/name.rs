@@ -5,17 +5,24 @@ use std::path::Path;
 
 /// File name suffixes that are not part of the name of the results. The first match is removed, so
 /// `.seg.nrrd` comes before `.nrrd`.
-const ENDINGS: [&str; 14] = [
+const ENDINGS: [&str; 21] = [
     ".seg.nrrd",
     ".nii.gz",
+    ".ome.tif",
+    ".ome.zarr",
     ".nrrd",
     ".nhdr",
     ".nii",
+    ".hdr",
+    ".mgz",
+    ".mgh",
     ".mha",
     ".mhd",
+    ".tiff",
+    ".tif",
+    ".npy",
     ".vti",
     ".dcm",
-    ".ome.zarr",
     ".zarr",
     ".hdf5",
     ".h5",

@@ -33,8 +33,9 @@ enum Verb {
 /// The volume to read.
 #[derive(Clone, Debug, clap::Args)]
 struct Input {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr),
+    /// FreeSurfer (.mgz, .mgh), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image
+    /// (.vti), or a folder of DICOM slices, of TIFF slices or of masks, one file per object
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     path: PathBuf,
     /// Series to read if the folder contains several, given by its description, number or UID

@@ -29,8 +29,9 @@ use std::path::PathBuf;
     after_help = "Example: the tooth in a CT scan (the iso value may be an integer)\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a separate material\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all"
 )]
 pub struct Args {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr),
+    /// FreeSurfer (.mgz, .mgh), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image
+    /// (.vti), or a folder of DICOM slices, of TIFF slices or of masks, one file per object
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
     /// Series to read if the folder contains several, given by its description, number or UID
