@@ -35,7 +35,7 @@ THREADS ?=
 # Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
@@ -96,7 +96,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebooks
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -144,6 +144,8 @@ Volumes in, simulation-ready meshes out.
                                                invalid rows
   make bench-solvers                           solve a known problem with every installed finite-element program,
                                                from its own file format
+  make formats                                 write a ball in every input format by other programs, and compare the
+                                               meshes (BENCH_OPTIONS="--only dicom", --large: times to read 512^3)
   make bench-paper                             measure the paper's Tables 1 to 4, as rows of docs/results/paper.json
                                                (BENCH_OPTIONS=--quick, for example)
   make bench-growth                            measure time and memory of every stage by voxels, particles, cores and
@@ -165,7 +167,9 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   SCALE=...     smooth away features below this, mm      BORDER=...    cap or open
   SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
+  SPACE=...     world frame of the results: lps, ras, or scanner, that of INPUT [lps]
   SERIES=...    series to mesh, if a folder of DICOM files contains several
+  DATASET=...   array of an HDF5, MATLAB or Zarr file: a path, a variable or a level
   SPACING=...   voxel spacing, mm, of a file that does not contain it (0.01 or 1,1,2)
   CROP=...      region to keep: mm:0..50,..,10.. or voxels:0..99,..,.. or a mask file
   DOWNSAMPLE=.. join this many voxels along each axis (2 or 2,2,1)
@@ -285,7 +289,7 @@ sdist: $(WHEEL)/venv/.made completions
 	@$(WHEEL)/venv/bin/python -m hatchling build -t sdist -d $(WHEEL)
 ifneq ($(SDIST_TEST),)
 	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
-	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,hxt]" pytest pytest-timeout
+	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
 
@@ -298,7 +302,7 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 # layout of /usr/share. The wheel contains those for its own commands.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
-SHARE_GOALS = info convert mesh surface verdict page clean demo index batch tetmesh-check
+SHARE_GOALS = info convert read mesh surface verdict page clean demo index batch tetmesh-check
 completions: build env
 	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
 	@lines=$$(mktemp -d) && trap 'rm -rf "$$lines"' EXIT && bin=$(call quote,$(BIN)) && shells() { command=$$1 name=$$2 && shift 2 \
@@ -453,6 +457,17 @@ bench-solvers: build env
 	    TETMESH_OPTIONS="--export inp,msh,msh2,med,xdmf --method hxt" || exit $$?; \
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
+
+# Writes one ball in every input format by the programs that people use, and compares the meshes of
+# the files. BENCH_OPTIONS="--large" measures the times to read 512^3 voxels instead.
+formats: build env $(BENCH_VENV)-formats/.made
+	@PYTHONPATH=pipelines/wheel/src $(BENCH_VENV)-formats/bin/python tests/formats.py --bin $(BIN) --work $(OUT)/formats \
+	  $(if $(wildcard $(DATA)/thorax_labels.nrrd),--data $(DATA)) $(BENCH_OPTIONS)
+
+$(BENCH_VENV)-formats/.made: tests/formats-requirements.txt | env
+	@$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-formats
+	@$(BENCH_VENV)-formats/bin/python -m pip install --quiet --disable-pip-version-check --no-input -r tests/formats-requirements.txt
+	@touch $@
 
 # Runs the notebooks with nbclient, which is installed in a folder outside the environment.
 NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook

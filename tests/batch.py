@@ -45,7 +45,7 @@ BROKEN = {
     "absent": "not found",
     "empty": "no voxel crosses iso value",
     "no-such-label": "no voxel has the label 9",
-    "no-volume": "does not start with the letters NRRD",
+    "no-volume": "does not start like a file with this ending",
 }
 """Names of the broken rows, with words that the headline of each must contain."""
 SLURM_OPTIONS = (

@@ -44,6 +44,7 @@ def page(bin_folder: Path, tetmesh_check: Path) -> str:
     """
     commands = [(name, [str(bin_folder / name)]) for name in STAGES]
     commands.append(("tetmesh-check", [str(tetmesh_check)]))
+    commands.append(("isoparticles-read", [str(tetmesh_check.with_name("isoparticles-read"))]))
     commands += [(" ".join(words), [str(bin_folder / words[0]), *words[1:]]) for words in TOOLS]
     parts = [f"\n## {name}\n\n```text\n{help_of(command)}\n```\n" for name, command in commands]
     return HEAD + "".join(parts)

@@ -34,14 +34,19 @@ fixtures() {
     nrrd) ls $volume/nrrd/*.nrrd $volume/nrrd/*.nhdr $volume/segmentation/*.nrrd ;;
     nifti) ls $volume/nifti/*.nii ;;
     compressed_nifti) ls $volume/nifti/*.nii.gz ;;
+    mgh) ls $volume/mgh/*.mgh ;;
+    compressed_mgh) ls $volume/mgh/*.mgz ;;
+    tiff) ls $volume/tiff/*.tif ;;
+    numpy) ls $volume/npy/*.npy ;;
     meta_image) ls $volume/meta/*.mha $volume/meta/*.mhd ;;
     vtk_image) ls $volume/vti/*.vti ;;
+    dicom_object) ls $volume/dicom_objects/*.dcm $volume/dicom_objects/*/alone.dcm ;;
     field) ls $stage/golden/field_*.vti $stage/edited/*.vti ;;
     materials) ls $stage/golden/materials_*.vti ;;
     particles) ls $stage/golden/*.bin ;;
     surface | cloud_of_polygons) ls $stage/golden/*.vtp ;;
     cloud_of_ply) ls $stage/golden/*.ply ;;
-    any_volume) ls $volume/nrrd/*.nrrd $volume/meta/*.mha $volume/vti/*.vti $volume/nifti/* ;;
+    any_volume) ls $volume/nrrd/*.nrrd $volume/meta/*.mha $volume/vti/*.vti $volume/nifti/* $volume/mgh/* $volume/npy/* $volume/tiff/* ;;
     esac
     ls tests/fuzz/seeds/"$1"/* 2>/dev/null || true
 }

@@ -2,13 +2,14 @@
 //! a three-part error. It must never panic, and must not allocate memory for data that is not in
 //! the file.
 
+use glam::DVec3;
 use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;
 use isoparticles_stage::error::Error;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
-use isoparticles_volume::{data_files, read_volume};
+use isoparticles_volume::{ReadOptions, data_files, read_volume, read_volume_with};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -26,6 +27,24 @@ fn volume(path: &Path) -> Option<Error> {
     // isoparticles-case calls `data_files` before a stage reads the volume.
     drop(data_files(path));
     read_volume(path).err().map(Error::from)
+}
+
+/// Reads a volume of a format without a spacing.
+fn without_spacing(path: &Path) -> Option<Error> {
+    let options = ReadOptions { spacing: Some(DVec3::ONE), ..ReadOptions::default() };
+    read_volume_with(path, &options).err().map(Error::from)
+}
+
+/// Reads a header of 348 bytes and the voxels after it as two files.
+fn pair(path: &Path) -> Option<Error> {
+    let bytes = std::fs::read(path).ok()?;
+    let (header, voxels) = bytes.split_at(bytes.len().min(348));
+    let [head, body] = ["hdr", "img"].map(|ending| path.with_extension(ending));
+    std::fs::write(&head, header).ok()?;
+    std::fs::write(&body, voxels).ok()?;
+    let error = volume(&head);
+    std::fs::remove_file(&body).ok()?;
+    error
 }
 
 /// Reads the parent folder of `path` as a series of slices.
@@ -58,13 +77,19 @@ const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Opt
 }
 
 /// All readers.
-pub const READERS: [Reader; 15] = [
+pub const READERS: [Reader; 21] = [
     reader("nrrd", "nrrd", volume),
     reader("nifti", "nii", volume),
     reader("compressed_nifti", "nii.gz", volume),
+    reader("analyze", "hdr", pair),
+    reader("mgh", "mgh", volume),
+    reader("compressed_mgh", "mgz", volume),
+    reader("tiff", "tif", without_spacing),
+    reader("numpy", "npy", without_spacing),
     reader("meta_image", "mha", volume),
     reader("vtk_image", "vti", volume),
     reader("dicom", "dcm", series),
+    reader("dicom_object", "dicom", volume),
     reader("field", "vti", field),
     reader("materials", "vti", materials),
     reader("particles", "bin", particles),

@@ -10,12 +10,16 @@ use std::sync::LazyLock;
 
 static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common");
-    let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "vti", "meta", "segmentation"]
-        .map(|folder| format!("volume/tests/data/{folder}"))
+    let volume = ["nrrd", "nifti", "analyze", "mgh", "npy", "tiff", "vti", "meta", "segmentation"];
+    let dicom = ["dicom_objects", "dicom_objects/contours"];
+    let mut paths: Vec<PathBuf> = [&volume[..], &dicom]
+        .concat()
         .into_iter()
+        .map(|folder| format!("volume/tests/data/{folder}"))
         .chain(["golden", "edited"].map(|folder| format!("stage/tests/data/{folder}")))
         .flat_map(|folder| std::fs::read_dir(root.join(folder)).expect("fixtures"))
         .map(|entry| entry.expect("entry").path())
+        .filter(|path| path.is_file())
         .collect();
     paths.sort();
     let name = |path: &Path| path.file_name().expect("a name").to_string_lossy().into_owned();
@@ -131,11 +135,13 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_read_or_refused(bytes: Vec<u8>, which in 0..8usize) {
-        let names = ["a.nrrd", "a.nii", "a.nii.gz", "a.vti", "a.vtp", "a.bin", "a.mha", "a.dcm"];
+    fn any_bytes_are_read_or_refused(bytes: Vec<u8>, which in 0..11usize) {
+        let names = ["a.nrrd", "a.nii", "a.nii.gz", "a.vti", "a.vtp", "a.bin", "a.mha", "a.dcm", "a.tif", "a.npy", "a.mgh"];
         let slice = [&[0; 128][..], b"DICM"].concat();
-        let starts: [&[u8]; 8] =
-            [b"NRRD0005\n", &[0x5c, 1, 0, 0], &[0x1f, 0x8b, 8], b"<VTKFile", b"<VTKFile ", b"ISOPART\n", b"NDims = 3\n", &slice];
+        let starts: [&[u8]; 11] = [
+            b"NRRD0005\n", &[0x5c, 1, 0, 0], &[0x1f, 0x8b, 8], b"<VTKFile", b"<VTKFile ", b"ISOPART\n", b"NDims = 3\n", &slice,
+            b"II*\0\x08\0\0\0", b"\x93NUMPY\x01\0", &[0, 0, 0, 1, 0, 0, 0],
+        ];
         read_all(names[which], &[starts[which], &bytes].concat());
     }
 }
@@ -146,13 +152,18 @@ proptest! {
 
     #[test]
     fn a_series_with_a_changed_slice_is_read_or_refused(
-        series in prop::sample::select(vec!["oblique", "rle"]),
+        (series, slice, changed_slice) in prop::sample::select(vec![
+            ("dicom/oblique", "a.dcm", "b.dcm"),
+            ("dicom/rle", "a.dcm", "b.dcm"),
+            // a scan and its contours
+            ("dicom_objects/structures", "0.dcm", "rs.dcm"),
+        ]),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
     ) {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/volume/tests/data/dicom").join(series);
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/volume/tests/data").join(series);
         let folder = tempfile::tempdir().expect("folder");
-        std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
-        let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
+        std::fs::copy(from.join(slice), folder.path().join("a.dcm")).expect("copied");
+        let bytes = std::fs::read(from.join(changed_slice)).expect("fixture");
         std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
         if let Err(error) = read_volume(folder.path()).map_err(Error::from) {
             assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");

@@ -4,19 +4,22 @@
 use crate::error::bad;
 use crate::error::{Error, Result};
 use glam::DVec3;
+use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::{Element, VtkFile};
 use std::path::Path;
 
-/// Reads the points (in the world coordinates of the file) and the values of the point array
-/// `name`. All values must be finite and positive.
+/// Reads the points and the values of the point array `name`, and the world frame of the points.
+/// All values must be finite and positive.
 ///
 /// # Errors
 /// If the file cannot be read or has the wrong type, or if the array is missing or has invalid
 /// values.
-pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
+pub fn read_sized_points(path: &Path, name: &str) -> Result<(Vec<(DVec3, f64)>, Space)> {
     let file = VtkFile::open(path)?;
     let is_unstructured = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("vtu"));
-    let piece = file.piece(if is_unstructured { "UnstructuredGrid" } else { "PolyData" })?;
+    let kind = if is_unstructured { "UnstructuredGrid" } else { "PolyData" };
+    let piece = file.piece(kind)?;
+    let space = file.text(file.data_set(kind)?, "space")?.and_then(|text| serde_json::from_str(&text).ok());
     let unusable = |what: &str| {
         bad(
             path,
@@ -34,7 +37,7 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
     let is_usable = |&(p, size): &(DVec3, f64)| p.is_finite() && size.is_finite() && size > 0.0;
     match points.iter().position(|point| !is_usable(point)) {
         Some(n) => Err(unusable(&format!("has an invalid point: {} with '{name}' {}", points[n].0, points[n].1))),
-        None => Ok(points),
+        None => Ok((points, space.unwrap_or(Space::Unnamed))),
     }
 }
 
@@ -75,7 +78,8 @@ mod tests {
     #[test]
     fn points_and_their_sizes_are_read_or_refused() {
         let (_folder, path) = file(&array("h", "0.5 0.25"));
-        let points = read_sized_points(&path, "h").expect("points");
+        let (points, space) = read_sized_points(&path, "h").expect("points");
+        assert_eq!(space, Space::Unnamed);
         assert_eq!(points, [(DVec3::new(1.0, 2.0, 3.0), 0.5), (DVec3::new(4.0, 5.0, 6.5), 0.25)]);
         for (body, says) in [
             (String::new(), "no point array 'h'"),

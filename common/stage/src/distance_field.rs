@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::field_file::{Field, FieldKind, read_field};
 use crate::materials_file::{MaterialsFile, is_materials, read_materials};
 use isoparticles_file::history::History;
-use isoparticles_volume::Geometry;
+use isoparticles_volume::{Geometry, Space};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -29,6 +29,21 @@ impl DistanceField {
             return read_materials(path).map(|file| Self::Materials(Arc::new(file)));
         }
         read_field(path, FieldKind::Distance).map(Self::Object)
+    }
+
+    /// Returns the field with its grid in another anatomical frame ([`Geometry::in_space`]).
+    #[must_use]
+    pub fn in_space(self, space: Space) -> Self {
+        if self.geometry().space == space {
+            return self;
+        }
+        match self {
+            Self::Object(field) => Self::Object(field.in_space(space)),
+            Self::Materials(file) => {
+                let file = Arc::unwrap_or_clone(file);
+                Self::Materials(Arc::new(MaterialsFile { materials: file.materials.in_space(space), ..file }))
+            }
+        }
     }
 
     /// Returns the grid.

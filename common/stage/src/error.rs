@@ -130,6 +130,11 @@ fn taken_by(content: Content) -> Option<&'static str> {
         Content::Checkpoint => Some("the checkpoint is for 'particles --resume'; distfield needs a volume"),
         Content::SurfaceVtk | Content::SurfacePly => Some(SURFACE),
         Content::SurfaceStl | Content::SurfaceObj => Some(OTHER_SURFACE),
-        Content::TetrahedraVtk | Content::LegacyVtk | Content::DicomSlice => None,
+        Content::TetrahedraVtk
+        | Content::LegacyVtk
+        | Content::DicomSlice
+        | Content::Hdf5
+        | Content::Matlab
+        | Content::Zarr => None,
     }
 }

@@ -10,7 +10,7 @@ use crate::materials_file;
 use crate::output::write_atomically;
 use isoparticles_file::history::History;
 use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
-use isoparticles_volume::{Geometry, Image, vti};
+use isoparticles_volume::{Geometry, Image, Space, vti};
 use rayon::prelude::*;
 use serde_json::Value;
 use std::io::{self, Write};
@@ -64,6 +64,17 @@ pub struct Field {
 }
 
 impl Field {
+    /// Returns the field with its grid in another anatomical frame ([`Geometry::in_space`]).
+    #[must_use]
+    pub fn in_space(mut self, space: Space) -> Self {
+        let geometry = self.image.geometry.clone().in_space(space);
+        // an image that other fields share is copied only if it changes
+        if geometry != self.image.geometry {
+            Arc::make_mut(&mut self.image).geometry = geometry;
+        }
+        self
+    }
+
     /// Writes the field to a file.
     ///
     /// # Errors
@@ -195,7 +206,6 @@ fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
 mod tests {
     use super::*;
     use glam::{DMat3, DVec3};
-    use isoparticles_volume::Space;
 
     fn oblique() -> Geometry {
         let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 0.7);

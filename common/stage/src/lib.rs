@@ -3,7 +3,7 @@
 //! [`cli`] contains the common options, exit codes, progress and report. [`error`] contains the
 //! user-facing errors in three parts. [`field_file`], [`materials_file`], [`distance_field`] and
 //! [`particle_file`] read and write the files that stages exchange, and [`meta`] defines the
-//! metadata in these files.
+//! metadata in these files. [`space`] contains the choice of the world frame.
 //!
 //! ```no_run
 //! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
@@ -49,5 +49,6 @@ pub mod meta;
 pub mod output;
 pub mod particle_file;
 pub mod quality;
+pub mod space;
 
-pub use isoparticles_file::{history, monitor};
+pub use isoparticles_file::{history, limit, monitor};

@@ -14,8 +14,10 @@ use std::path::PathBuf;
 /// The volume to read.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct InputArgs {
-    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha,
-    /// .mhd), VTK image (.vti), or a folder of DICOM slices or of masks, one file per object
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr),
+    /// FreeSurfer (.mgz, .mgh), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image
+    /// (.vti), DICOM (.dcm: multi-frame image, segmentation or contours), or a folder of DICOM
+    /// slices, of TIFF slices or of masks, one file per object
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     pub path: PathBuf,
     /// Series to read if the folder contains several, given by its description, number or UID

@@ -27,6 +27,7 @@ const ENDS: [[&str; 2]; 3] = [["right", "left"], ["anterior", "posterior"], ["in
 impl Orientation {
     /// Determines the orientation of a grid.
     pub fn of(geometry: &Geometry) -> Self {
+        let geometry = geometry.clone().in_space(Space::Lps);
         let directions = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let nearest = directions.map(nearest_axis);
         let is_named = geometry.space == Space::Lps;
@@ -77,6 +78,9 @@ mod tests {
         assert_eq!(turned.axes[2], "superior to inferior");
         assert!(turned.left_handed && !turned.sheared);
         assert!((turned.oblique_degrees - 20.0).abs() < 1e-9);
+
+        let same = Geometry { directions, ..geometry.clone() }.in_space(Space::Ras);
+        assert_eq!(Orientation::of(&same).letters.as_deref(), Some("RAI"), "in the other frame");
 
         let unnamed = Orientation::of(&Geometry { space: Space::Unnamed, directions, ..geometry });
         assert_eq!((unnamed.axes, unnamed.letters), (["-x".into(), "-y".into(), "-z".into()], None));

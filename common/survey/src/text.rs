@@ -145,7 +145,7 @@ impl VolumeInfo {
         if labels.iter().all(|label| label.bounds.is_none()) {
             return Ok(());
         }
-        let frame = if self.space == Space::Unnamed { "" } else { ", LPS" };
+        let frame = self.space.name().map_or_else(String::new, |name| format!(", {name}"));
         writeln!(out, "\n    label  box and its centre in world coordinates (mm{frame})")?;
         for label in labels {
             let Some(WorldBox { low, high, centre }) = label.bounds else { continue };

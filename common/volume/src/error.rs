@@ -96,6 +96,12 @@ pub enum Content {
     SurfaceObj,
     /// A single file of a DICOM series.
     DicomSlice,
+    /// An HDF5 file.
+    Hdf5,
+    /// A MATLAB file.
+    Matlab,
+    /// A Zarr store.
+    Zarr,
 }
 
 impl fmt::Display for Content {
@@ -111,6 +117,9 @@ impl fmt::Display for Content {
             Self::SurfaceStl => "a surface (STL)",
             Self::SurfaceObj => "a surface (OBJ)",
             Self::DicomSlice => "one DICOM file",
+            Self::Hdf5 => "an HDF5 file",
+            Self::Matlab => "a MATLAB file",
+            Self::Zarr => "a Zarr store",
         })
     }
 }
@@ -125,6 +134,9 @@ impl Error {
             Self::File(error) => return error.reason(),
             Self::NotAVolume { content: Content::DicomSlice, .. } => {
                 "a volume consists of the whole series, with one slice in each file"
+            }
+            Self::NotAVolume { content: Content::Hdf5 | Content::Matlab | Content::Zarr, .. } => {
+                "it may contain several arrays, and the stages do not read this format"
             }
             Self::NotAVolume { .. } => "a volume is needed: a scan or a label map",
             Self::Series { .. } => "a volume is made from the slices of one series",
@@ -142,6 +154,10 @@ impl Error {
             Self::File(error) => error.remedy(),
             Self::NotAVolume { content, .. } => match content {
                 Content::DicomSlice => "use the folder that contains the files of the series",
+                Content::Hdf5 | Content::Matlab | Content::Zarr => {
+                    "convert it with `isoparticles-read FILE --dataset NAME -o V.vti`; `make mesh` and `isoparticles \
+                     mesh` do this themselves"
+                }
                 Content::LegacyVtk => "open it in ParaView or pyvista and save the image as .vti",
                 _ => "use the volume that it was made from",
             }

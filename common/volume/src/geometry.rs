@@ -4,8 +4,9 @@
 //! There are three frames. In the *index* frame, voxel centres have integer coordinates.
 //! Coordinates in the *grid* frame are index coordinates times the spacing. This frame is
 //! axis-aligned and right-handed, and its origin is the centre of voxel (0, 0, 0). All stages
-//! compute in the grid frame. The *world* frame is LPS in millimetres, as in ITK, if the file
-//! specifies an anatomical space. Otherwise, it is the file's own frame.
+//! compute in the grid frame. The *world* frame is in millimetres. If the file specifies an
+//! anatomical space, readers return LPS, as in ITK, and output may be in RAS. Otherwise, it is the
+//! file's own frame.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -18,6 +19,29 @@ pub enum Space {
     Lps,
     /// The file does not specify an anatomical space. Its coordinates are used unchanged.
     Unnamed,
+    /// Right, anterior, superior: the world frame of NIfTI, nibabel and FreeSurfer.
+    Ras,
+}
+
+impl Space {
+    /// Returns the name of an anatomical frame.
+    pub fn name(self) -> Option<&'static str> {
+        match self {
+            Self::Lps => Some("LPS"),
+            Self::Ras => Some("RAS"),
+            Self::Unnamed => None,
+        }
+    }
+
+    /// Returns the signs that convert coordinates to another anatomical frame: those of x and y
+    /// change between LPS and RAS. No coordinate is rounded. Without an anatomical frame, all are
+    /// 1.
+    pub fn signs_to(self, space: Self) -> DVec3 {
+        match (self, space) {
+            (Self::Lps, Self::Ras) | (Self::Ras, Self::Lps) => DVec3::new(-1.0, -1.0, 1.0),
+            _ => DVec3::ONE,
+        }
+    }
 }
 
 /// Size, spacing, directions, origin and space of a regular grid.
@@ -40,6 +64,19 @@ impl Geometry {
     /// Creates an axis-aligned geometry with its origin at zero.
     pub fn axis_aligned(size: [usize; 3], spacing: DVec3) -> Self {
         Self { size, spacing, directions: DMat3::IDENTITY, origin: DVec3::ZERO, space: Space::Unnamed }
+    }
+
+    /// Returns the grid in another anatomical frame ([`Space::signs_to`]). A grid without an
+    /// anatomical frame does not change.
+    #[must_use]
+    pub fn in_space(self, space: Space) -> Self {
+        if self.space.name().is_none() || space.name().is_none() {
+            return self;
+        }
+        let signs = self.space.signs_to(space);
+        let DMat3 { x_axis, y_axis, z_axis } = self.directions;
+        let directions = DMat3::from_cols(x_axis * signs, y_axis * signs, z_axis * signs);
+        Self { directions, origin: self.origin * signs, space, ..self }
     }
 
     /// Returns the number of voxels.

@@ -1,10 +1,10 @@
 //! Medical volumes: voxels in their original number type, on a grid with a position and orientation
 //! in world coordinates.
 //!
-//! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
-//! DICOM slices or masks. Lengths are in mm. Unless stated otherwise, positions are in the *grid
-//! frame* (index times spacing, axis-aligned, right-handed). [`Geometry`] converts them to the
-//! world frame.
+//! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, Analyze 7.5, volumes of FreeSurfer,
+//! MetaImage, TIFF, NumPy arrays, VTK images and folders of DICOM slices, TIFF slices or masks.
+//! Lengths are in mm. Unless stated otherwise, positions are in the *grid frame* (index times
+//! spacing, axis-aligned, right-handed). [`Geometry`] converts them to the world frame.
 //!
 //! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes VTK images.
 //! Other crates build their file formats on these two modules.
@@ -28,16 +28,20 @@ mod crop;
 mod data_files;
 mod dicom;
 mod error;
+mod foreign;
 mod geometry;
 mod image;
 mod limit;
 pub mod masks;
 mod meta_image;
+mod mgh;
 mod nifti;
+mod npy;
 pub mod nrrd;
 mod read;
 mod segments;
 mod shear;
+mod tiff;
 mod units;
 mod volume;
 mod voxel_box;
@@ -49,6 +53,7 @@ pub mod vtk_xml;
 pub use crop::Crop;
 pub use data_files::data_files;
 pub use error::{Content, Error, Result};
+pub use foreign::foreign_content;
 pub use geometry::{Geometry, Space};
 pub use image::{Image, reverse_slices};
 pub use read::{ReadOptions, read_volume, read_volume_with};

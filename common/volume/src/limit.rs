@@ -1,10 +1,13 @@
 //! Checks the sizes and the geometry given in a file header.
 
-use crate::error::Result;
-use crate::error::bad;
+use crate::error::{Error, Result, bad};
 use crate::geometry::{Geometry, Space};
 use glam::{DMat3, DVec3};
+use std::ops::RangeInclusive;
 use std::path::Path;
+
+/// Lengths of a voxel in mm that are accepted. Beyond them, results suffer from rounding.
+const SPACINGS: RangeInclusive<f64> = 1e-9..=1e6;
 
 /// Returns the number of voxels of a grid, given the sizes in a file header. Fails if a size is
 /// zero or if the product overflows.
@@ -16,6 +19,34 @@ pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
         let what = format!("its header declares {} x {} x {} voxels", size[0], size[1], size[2]);
         bad(path, what, "this is more than a computer can address", "write the file again; its header is damaged")
     })
+}
+
+/// Returns the spacing that the user gave for a file without one.
+///
+/// # Errors
+/// If there is none, or if it is not from 1e-9 to 1e6 mm.
+pub(crate) fn checked_spacing(path: &Path, given: Option<DVec3>) -> Result<DVec3> {
+    match given {
+        Some(spacing) if (0..3).all(|axis| SPACINGS.contains(&spacing[axis])) => Ok(spacing),
+        Some(spacing) => Err(bad(
+            path,
+            format!("the spacing {} x {} x {} mm was given", spacing.x, spacing.y, spacing.z),
+            "voxels must be from 1e-9 mm to 1e6 mm long",
+            "correct the spacing",
+        )),
+        None => Err(no_spacing(path, "does not contain the spacing of its voxels")),
+    }
+}
+
+/// Creates the error for a file whose spacing is missing or incomplete.
+pub(crate) fn no_spacing(path: &Path, what: impl std::fmt::Display) -> Error {
+    bad(
+        path,
+        what,
+        "the size of the mesh depends on it",
+        "give the distances between voxel centres along x, y and z in mm: --spacing 0.01,0.01,0.02, or for make \
+         SPACING=0.01,0.01,0.02",
+    )
 }
 
 /// Creates a geometry from the world vectors between neighbouring voxels along the three axes.
@@ -39,7 +70,7 @@ pub(crate) fn geometry_from_steps(
             "correct the spacing in the file's header",
         ));
     }
-    if let Some(axis) = (0..3).find(|&axis| spacing[axis] > 1e6 || spacing[axis] < 1e-9) {
+    if let Some(axis) = (0..3).find(|&axis| !SPACINGS.contains(&spacing[axis])) {
         return Err(bad(
             path,
             format!("the spacing of axis {axis} is {:e}", spacing[axis]),
@@ -68,4 +99,20 @@ pub(crate) fn geometry_from_steps(
         ));
     }
     Ok(Geometry { size, spacing, directions, origin, space })
+}
+
+/// Fails if a spacing is given for a file that contains one.
+pub(crate) fn without_spacing(path: &Path, spacing: Option<DVec3>) -> Result<()> {
+    match spacing {
+        Some(spacing) => Err(bad(
+            path,
+            format!(
+                "contains the spacing of its voxels, and {} x {} x {} mm was given",
+                spacing.x, spacing.y, spacing.z
+            ),
+            "a second spacing would contradict that of the file",
+            "leave out the spacing; if that of the file is wrong, correct the file, for example with 3D Slicer",
+        )),
+        None => Ok(()),
+    }
 }

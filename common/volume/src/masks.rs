@@ -9,7 +9,7 @@
 //! contains several voxel centres of a mask: only if the mask is finer along one axis.
 
 use crate::error::{Result, bad};
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Space};
 use crate::limit::voxel_count;
 use crate::segments::{LayerLabel, Segment};
 use crate::volume::Volume;
@@ -22,15 +22,15 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Endings of the names of volume files. A mask has the name of its file without the ending.
-const ENDINGS: [&str; 10] =
-    [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
+const ENDINGS: [&str; 12] =
+    [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".mgz", ".mgh", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
 
 /// Maximum number of masks: a byte holds this many labels besides 0. TotalSegmentator writes 117.
 const MOST_MASKS: usize = u8::MAX as usize;
 
 /// Smallest value of a voxel inside a mask, relative to the maximum. For probabilities, such a
 /// voxel is at least as likely inside as outside.
-const INSIDE: f64 = 0.5;
+pub(crate) const INSIDE: f64 = 0.5;
 
 /// Index positions that differ by less than this are the same. NIfTI headers store positions of up
 /// to 1000 mm with rounding errors of 3e-5 mm; this is 1e-3 of a voxel of 0.03 mm.
@@ -107,6 +107,8 @@ struct Masks {
     segments: Vec<Segment>,
     /// The grid of each mask.
     grids: Vec<Geometry>,
+    /// The world frame of each file.
+    spaces: Vec<Space>,
     /// The names of the masks without a voxel.
     empty: Vec<String>,
     remarks: Vec<String>,
@@ -134,6 +136,7 @@ impl Masks {
                 "write all masks with the same program, in the frame of the scan",
             ));
         }
+        self.spaces.push(mask.file_space);
         for remark in &mask.remarks {
             if !self.remarks.iter().any(|known| known.ends_with(remark)) {
                 self.remarks.push(format!("{}: {remark}", file_name(path)));
@@ -158,7 +161,7 @@ impl Masks {
 
     /// Returns the volume of the layers, which have the given grid.
     fn join(self, grid: Geometry) -> Volume {
-        let Self { layers, segments, grids, empty, mut remarks } = self;
+        let Self { layers, segments, grids, spaces, empty, mut remarks } = self;
         if grids.first().is_some_and(|first| *first != grid) {
             let [nx, ny, nz] = grid.size;
             remarks.push(format!(
@@ -170,7 +173,10 @@ impl Masks {
         }
         let mut layers = layers.into_iter().map(Voxels::U8);
         let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
-        Volume { more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) }
+        // files in different frames have none in common
+        let common = spaces.first().filter(|first| spaces.iter().all(|space| space == *first));
+        let file_space = common.copied().unwrap_or(grid.space);
+        Volume { file_space, more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) }
     }
 }
 

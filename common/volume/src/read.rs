@@ -3,9 +3,12 @@
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
+use crate::foreign::foreign_content;
+use crate::limit::without_spacing;
 use crate::volume::Volume;
-use crate::{dicom, masks, meta_image, nifti, nrrd, vti};
+use crate::{dicom, masks, meta_image, mgh, nifti, npy, nrrd, tiff, voxel_data, vti};
 use glam::DVec3;
+use isoparticles_file::history::file_name;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -18,10 +21,10 @@ const START_BYTES: u64 = 512;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
     /// Description, number or UID of the series to read from a folder of DICOM files. Required only
-    /// if the folder contains several series.
+    /// if the folder contains several series, or a multi-frame file several volumes.
     pub series: Option<&'a str>,
     /// Distance in mm between neighbouring voxel centres along each axis, always positive. Only for
-    /// files that do not contain it.
+    /// files that do not contain it, and for contours without their slices.
     pub spacing: Option<DVec3>,
 }
 
@@ -31,11 +34,16 @@ enum Format {
     Nrrd,
     MetaImage,
     Nifti,
+    Mgh,
+    Tiff,
+    NumPy,
     VtkImage,
 }
 
-/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a NIfTI file, a VTK
-/// image, or a folder of DICOM slices or of masks, one file per object.
+/// Reads a volume from an NRRD file, a 3D Slicer segmentation, a MetaImage, a file in NIfTI or
+/// Analyze 7.5, a volume of FreeSurfer, a TIFF stack, a NumPy array, a VTK image, DICOM (a folder
+/// of slices, or a multi-frame image, segmentation or structure set), or a folder of TIFF slices or
+/// of masks, one file per object.
 ///
 /// # Errors
 /// If the file cannot be read, is not a volume with one number per voxel, is damaged or truncated,
@@ -50,6 +58,9 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
 /// If [`read_volume`] would fail, if the requested series does not exist, or if a series is
 /// requested from a file.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
+    if let Some(content) = foreign_content(path) {
+        return Err(Error::NotAVolume { path: path.to_path_buf(), content });
+    }
     if path.is_dir() {
         return read_folder(path, options);
     }
@@ -57,14 +68,21 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
-    let read = match format(path, &start)? {
+    if dicom::is_dicom(&start) {
+        return dicom::read_file(path, options.series, options.spacing);
+    }
+    let format = format(path, &start)?;
+    without_series(path, options)?;
+    let read = match format {
+        Format::Tiff => return tiff::read_tiff(path, options.spacing),
+        Format::NumPy => return npy::read_npy(path, options.spacing),
         Format::Nrrd => nrrd::read_nrrd,
         Format::MetaImage => meta_image::read_meta_image,
         Format::Nifti => nifti::read_nifti,
+        Format::Mgh => mgh::read_mgh,
         Format::VtkImage => vti::read_vti,
     };
-    without_series(path, options)?;
-    without_spacing(path, options)?;
+    without_spacing(path, options.spacing)?;
     read(path)
 }
 
@@ -81,23 +99,8 @@ fn without_series(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
     }
 }
 
-/// Fails if a spacing is given for a file that contains one.
-fn without_spacing(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
-    match options.spacing {
-        Some(spacing) => Err(bad(
-            path,
-            format!(
-                "contains the spacing of its voxels, and {} x {} x {} mm was given",
-                spacing.x, spacing.y, spacing.z
-            ),
-            "a second spacing would contradict that of the file",
-            "leave out the spacing; if that of the file is wrong, correct the file, for example with 3D Slicer",
-        )),
-        None => Ok(()),
-    }
-}
-
-/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks.
+/// Reads a folder: the slices of a DICOM series or, if it contains no DICOM files, masks or TIFF
+/// slices.
 fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
@@ -106,22 +109,34 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
     let slices: Vec<PathBuf> = files.iter().filter(|path| dicom::is_dicom_file(path)).cloned().collect();
     if !slices.is_empty() {
-        without_spacing(folder, options)?;
-        return dicom::read_series(folder, &slices, options.series);
+        return dicom::read_series(folder, &slices, options.series, options.spacing);
     }
+    let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
     files.retain(|path| masks::mask_name(path).is_some());
+    if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
+        return Err(bad(
+            folder,
+            format!("contains {} and {}", file_name(mask), file_name(slice)),
+            "TIFF files in a folder are read as slices, and other volumes as masks",
+            "move one kind of file to another folder",
+        ));
+    }
+    if !tiffs.is_empty() {
+        without_series(folder, options)?;
+        return tiff::read_tiff_folder(folder, tiffs, options.spacing);
+    }
     if !files.is_empty() {
         without_series(folder, options)?;
-        without_spacing(folder, options)?;
+        without_spacing(folder, options.spacing)?;
         return masks::read_masks(folder, &files, read_volume);
     }
     let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
     let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };
     Err(bad(
         folder,
-        "is a folder without DICOM files or masks",
-        "a folder is read as the slices of one DICOM series, or as masks: one volume file per object, such as \
-         heart.nii.gz",
+        "is a folder without DICOM files, TIFF files or masks",
+        "a folder is read as the slices of one DICOM series or TIFF stack, or as masks: one volume file per object, \
+         such as heart.nii.gz",
         format!("use the volume's file, or the folder that contains the slices or masks{hint}"),
     ))
 }
@@ -137,6 +152,14 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
+/// Returns the first bytes of a gzip-compressed file, or fewer if they cannot be decompressed.
+fn decompressed_start(path: &Path) -> Vec<u8> {
+    let mut start = Vec::new();
+    // what was read before an error is kept
+    voxel_data::open(path).and_then(|stream| stream.take(START_BYTES).read_to_end(&mut start)).ok();
+    start
+}
+
 /// Detects the format of a file. Fails if the file is not a volume.
 fn format(path: &Path, start: &[u8]) -> Result<Format> {
     let name = path.to_string_lossy().to_lowercase();
@@ -145,8 +168,18 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if start.starts_with(b"NRRD") {
         return Ok(Format::Nrrd);
     }
-    if nifti::is_nifti(start) || nifti::is_compressed_nifti(path, start) {
+    let plain = if start.starts_with(&[0x1f, 0x8b]) { decompressed_start(path) } else { start.to_vec() };
+    if nifti::is_nifti(&plain) {
         return Ok(Format::Nifti);
+    }
+    if mgh::is_mgh(&plain) {
+        return Ok(Format::Mgh);
+    }
+    if tiff::byte_order(start).is_some() {
+        return Ok(Format::Tiff);
+    }
+    if npy::is_npy(start) {
+        return Ok(Format::NumPy);
     }
     if let Some(content) = no_volume(start, &ends) {
         return Err(Error::NotAVolume { path: path.to_path_buf(), content });
@@ -160,19 +193,20 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if ends(&[".nii", ".nii.gz"]) {
         return Ok(Format::Nifti);
     }
-    if ends(&[".nrrd", ".nhdr"]) {
+    if ends(&[".nrrd", ".nhdr", ".mgh", ".mgz", ".tif", ".tiff", ".npy"]) {
         return Err(bad(
             path,
-            "does not start with the letters NRRD",
-            "it is not an NRRD file, despite its name",
+            "does not start like a file with this ending",
+            "it is damaged, or its format is another one, despite its name",
             "write or download the file again",
         ));
     }
     Err(bad(
         path,
         "has an unknown format",
-        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK \
-         image files (.vti) and folders of DICOM slices or masks",
+        "volumes can be read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), Analyze (.hdr and .img), \
+         FreeSurfer (.mgh, .mgz), MetaImage (.mha, .mhd), TIFF (.tif), NumPy (.npy), VTK image files (.vti), DICOM and \
+         folders of TIFF slices or masks",
         "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
     ))
 }
@@ -180,9 +214,6 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
 /// Detects the contents of a file that has a known format but does not contain a volume.
 fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
-    if dicom::is_dicom(start) {
-        return Some(Content::DicomSlice);
-    }
     if has(b"<VTKFile") {
         return match () {
             () if has(b"\"PolyData\"") => Some(Content::SurfaceVtk),

@@ -2,7 +2,7 @@
 //! by name or number.
 
 use crate::error::{Error, Result};
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Space};
 use crate::segments::{LayerLabel, Segment};
 use crate::voxels::{Blocks, Pooling, Voxels};
 use rayon::prelude::*;
@@ -17,6 +17,8 @@ const MOST_LISTED: usize = 40;
 pub struct Volume {
     /// Grid of the voxels.
     pub geometry: Geometry,
+    /// World frame of the file. The grid is in LPS even if the file is in RAS.
+    pub file_space: Space,
     /// Voxel values of the first layer.
     pub voxels: Voxels,
     /// The other layers, which are on the same grid and contain overlapping segments. Only
@@ -33,7 +35,20 @@ impl Volume {
     /// Creates a volume with one layer, without names or remarks. `voxels` must contain one value
     /// per voxel of `geometry`.
     pub fn new(geometry: Geometry, voxels: Voxels) -> Self {
-        Self { geometry, voxels, more_layers: Vec::new(), segments: Vec::new(), remarks: Vec::new() }
+        Self {
+            file_space: geometry.space,
+            geometry,
+            voxels,
+            more_layers: Vec::new(),
+            segments: Vec::new(),
+            remarks: Vec::new(),
+        }
+    }
+
+    /// Returns the volume with its grid in LPS, whatever anatomical frame it was in.
+    #[must_use]
+    pub fn in_lps(self) -> Self {
+        Self { geometry: self.geometry.in_space(Space::Lps), ..self }
     }
 
     /// Crops all layers in place to the box of `size` voxels whose first voxel is `first`.

@@ -36,6 +36,13 @@ pub(crate) enum DataFiles {
     Named(Vec<String>),
 }
 
+/// Opens a file for reading. A gzip-compressed file is decompressed as it is read.
+pub(crate) fn open(path: &Path) -> io::Result<Stream<BufReader<File>>> {
+    let mut file = BufReader::with_capacity(1 << 17, File::open(path)?);
+    let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
+    Ok(Stream::new(file, if is_compressed { Coding::Gzip } else { Coding::Raw }))
+}
+
 /// Reads a header line and removes its line ending. Returns `None` at the end of the file.
 pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut line = Vec::new();

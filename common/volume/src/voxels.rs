@@ -3,7 +3,7 @@
 mod coded;
 
 use crate::error::{Error, Result};
-use crate::image::reverse_slices;
+use crate::image::{reverse_slices, reversed_axes};
 use coded::Coded;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -349,6 +349,18 @@ impl Voxels {
         self.truncate(to.iter().product());
     }
 
+    /// Reverses the order of the three axes; see [`reversed_axes`].
+    pub(crate) fn reversed_axes(self, size: [usize; 3]) -> Self {
+        macro_rules! arms {
+            ($($variant:ident),*) => {
+                match self {
+                    $(Self::$variant(values) => Self::$variant(reversed_axes(&values, size)),)*
+                }
+            };
+        }
+        arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
+    }
+
     /// Keeps the first `count` values and releases the unused memory.
     pub fn truncate(&mut self, count: usize) {
         each_type!(self, values => {
@@ -390,15 +402,28 @@ impl Voxels {
         if there < count as u64 {
             return Err(ends_early(there as usize, count));
         }
+        Self::filled(scalar, count, CHUNK_BYTES / scalar.bytes(), |number, bytes| {
+            let mut file = File::open(path)?;
+            file.seek(SeekFrom::Start(start + (number * CHUNK_BYTES) as u64))?;
+            file.read_exact(bytes)?;
+            Ok(endian)
+        })
+    }
+
+    /// Creates `count` values in parts of `part` values, on all threads. `fill` gets the number of
+    /// a part and its bytes, which it writes in the byte order that it returns.
+    pub(crate) fn filled<E: Send>(
+        scalar: ScalarType,
+        count: usize,
+        part: usize,
+        fill: impl Fn(usize, &mut [u8]) -> std::result::Result<Endian, E> + Sync,
+    ) -> std::result::Result<Self, E> {
         with_type!(scalar, Value, variant => {
             let mut values = vec![Value::default(); count];
-            let chunks = values.par_chunks_mut(CHUNK_BYTES / size_of::<Value>()).enumerate();
-            chunks.try_for_each(|(number, chunk)| {
-                let mut file = File::open(path)?;
-                file.seek(SeekFrom::Start(start + (number * CHUNK_BYTES) as u64))?;
-                file.read_exact(bytemuck::cast_slice_mut(chunk))?;
-                Value::arrange(chunk, endian);
-                std::io::Result::Ok(())
+            values.par_chunks_mut(part).enumerate().try_for_each(|(number, values)| {
+                let endian = fill(number, bytemuck::cast_slice_mut(values))?;
+                Value::arrange(values, endian);
+                Ok(())
             })?;
             Ok(variant(values))
         })

@@ -116,7 +116,11 @@ fn layer_name(layer: usize) -> String {
 pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<()> {
     let mut document = Document::new("ImageData");
     open_image(&mut document, &volume.geometry);
-    let texts = [("geometry", ascii_json(&volume.geometry)), ("segments", ascii_json(&volume.segments))];
+    let texts = [
+        ("geometry", ascii_json(&volume.geometry)),
+        ("segments", ascii_json(&volume.segments)),
+        ("file_space", ascii_json(&volume.file_space)),
+    ];
     document.identity(KIND, VERSION, &texts, Some(history));
     document.open("Piece", &[("Extent", piece_extent(&volume.geometry))]);
     document.open("PointData", &[("Scalars", layer_name(0))]);
@@ -194,8 +198,12 @@ pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
         let segments = file.text(image, "segments")?;
         let segments: Vec<Segment> = segments.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
         volume.segments = segments.into_iter().filter(|segment| segment.at.layer < volume.layer_count()).collect();
+        let file_space = file.text(image, "file_space")?.and_then(|text| serde_json::from_str::<Space>(&text).ok());
+        // a file edited in another program may have lost its space
+        let is_known = |space: &Space| space.name().is_some() == volume.geometry.space.name().is_some();
+        volume.file_space = file_space.filter(is_known).unwrap_or(volume.file_space);
     }
-    Ok(volume)
+    Ok(volume.in_lps())
 }
 
 #[cfg(test)]
@@ -249,8 +257,10 @@ mod tests {
         let mut geometry = Geometry::axis_aligned([2, 3, 2], DVec3::new(0.1, 1.0 / 3.0, 2.0));
         geometry.directions = glam::DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.0);
         geometry.space = Space::Lps;
+        let file_space = Space::Ras;
         let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
         let volume = Volume {
+            file_space,
             more_layers: vec![Voxels::I16(vec![1; 12]), Voxels::I16(vec![2; 12])],
             segments: vec![segment("größer", 0, -3), segment("left \"lung\"", 2, 2)],
             ..Volume::new(geometry, Voxels::I16((-6..6).collect()))

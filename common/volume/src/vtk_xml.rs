@@ -4,6 +4,10 @@
 //! Files are written with raw appended data, which preserves all values exactly and can be read by
 //! VTK, ParaView and PyVista. The reader supports all variants that these programs write: ASCII,
 //! base64 and raw data; no compression or zlib; both byte orders; 32- and 64-bit headers.
+//!
+//! The crate vtkio (0.7.0-rc2) is not used here: it stores origin and spacing as 32-bit floats,
+//! supports neither `Direction` nor field data, and its XML part needs quick-xml 0.36
+//! (RUSTSEC-2026-0194, -0195).
 
 mod decode;
 mod element;

@@ -1,9 +1,11 @@
 //! Compares the readers with other programs. All fixtures in `tests/data` and their expected values
-//! were created with pynrrd, SimpleITK, Teem's unu, nibabel, pydicom and VTK; see
+//! were created with pynrrd, SimpleITK, Teem's unu, nibabel, pydicom, tifffile, NumPy and VTK; see
 //! `tests/data/make_fixtures.py`.
 
 use glam::DVec3;
-use isoparticles_volume::{Content, Error, LayerLabel, Volume, Voxels, read_volume};
+use isoparticles_volume::{
+    Content, Error, LayerLabel, ReadOptions, Space, Volume, Voxels, read_volume, read_volume_with,
+};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -46,20 +48,44 @@ fn same_values(voxels: &Voxels, texts: &[String]) -> bool {
 fn other_programs_see_the_same_voxels_in_the_same_places() {
     let expected = expected();
     let volumes = expected["volumes"].as_object().expect("volumes");
-    assert!(volumes.len() >= 85);
+    assert!(volumes.len() >= 146);
     for (file, told) in volumes {
-        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        let spacing: Option<DVec3> =
+            told.get("spacing").map(|spacing| serde_json::from_value(spacing.clone()).expect("mm"));
+        let options = ReadOptions { spacing, ..ReadOptions::default() };
+        let volume = read_volume_with(&data().join(file), &options).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(volume.voxels.type_name(), told["type"], "{file}");
         let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
         assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
         let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
-        // NIfTI stores the geometry as 32-bit floats. VTK writes the origin with about the same
-        // precision.
-        let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
+        // NIfTI and FreeSurfer store the geometry as 32-bit floats. VTK writes the origin with
+        // about the same precision.
+        let is_exact = ["nrrd", "npy", "tiff"].iter().any(|folder| file.starts_with(folder));
+        let tolerance = if is_exact { 1e-10 } else { 1e-5 };
         for (ours, theirs) in positions(&volume).iter().zip(places) {
             let theirs = DVec3::from_array(theirs);
             assert!(ours.abs_diff_eq(theirs, tolerance), "{file}: {ours} is not {theirs} ({})", told["told_by"]);
         }
+    }
+}
+
+#[test]
+fn the_frame_of_the_file_is_known() {
+    for (file, file_space) in [
+        ("nrrd/space_ras.nrrd", Space::Ras),
+        ("nrrd/space_las.nrrd", Space::Lps),
+        ("nrrd/itk.nrrd", Space::Lps),
+        ("nrrd/space_unnamed.nrrd", Space::Unnamed),
+        ("nifti/sform.nii", Space::Ras),
+        ("nifti/qform.nii.gz", Space::Ras),
+        ("meta/orientation.mha", Space::Lps),
+        ("dicom/oblique", Space::Lps),
+        ("vti/pyvista.vti", Space::Unnamed),
+    ] {
+        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.file_space, file_space, "{file}");
+        let is_named = file_space != Space::Unnamed;
+        assert_eq!(volume.geometry.space, if is_named { Space::Lps } else { Space::Unnamed }, "{file}");
     }
 }
 
@@ -87,7 +113,7 @@ fn segments_have_names_and_layers() {
 #[test]
 fn what_is_no_volume_is_told_by_what_it_is() {
     let folder = tempfile::tempdir().expect("folder");
-    let starts: [(&str, &[u8], Content); 10] = [
+    let starts: [(&str, &[u8], Content); 9] = [
         ("a.vtp", b"<VTKFile type=\"PolyData\">", Content::SurfaceVtk),
         ("a.vtu", b"<VTKFile type=\"UnstructuredGrid\">", Content::TetrahedraVtk),
         ("a.vtk", b"# vtk DataFile Version 3.0", Content::LegacyVtk),
@@ -97,7 +123,6 @@ fn what_is_no_volume_is_told_by_what_it_is() {
         ("seeds", b"ISOPART\n\x01\0\0\0", Content::Seeds),
         ("settled", b"ISOPART\n\x02\0\0\0", Content::Particles),
         ("checkpoint", b"ISOPART\n\x03\0\0\0", Content::Checkpoint),
-        ("slice", &[&[0; 128][..], b"DICM"].concat(), Content::DicomSlice),
     ];
     for (name, bytes, is) in starts {
         let path = folder.path().join(name);

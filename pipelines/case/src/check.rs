@@ -4,7 +4,7 @@
 use crate::folder::{CaseFolder, STAGES, report_name};
 use crate::program;
 use crate::run::Case;
-use crate::stages::{Planned, Programs, Volume, command_of};
+use crate::stages::{Planned, Programs, command_of, runs};
 use crate::status::{Problem, State, Status};
 use isoparticles_stage::cli::check::{CHECK_OPTIONS, Known};
 use isoparticles_stage::error::{Error, Result};
@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 /// If a stage rejects its command line.
 pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
     let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
-    // If this run regenerates the phantom, the existing file may be out of date and is not read.
-    let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
+    // If this run makes the volume, an existing file may be out of date and is not read.
+    let volume = made("phantom") && made("read");
     let materials = if made("distfield") { materials_made(&case.folder) } else { None };
     let mut known = Known { materials, volume };
     let may_lose = before.is_some_and(|status| status.stages.iter().any(|stage| stage.state == State::Done));
@@ -60,7 +60,8 @@ impl Answers {
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();
         for stage in STAGES.iter().map(|stage| stage.stage) {
-            if stage == "phantom" && case.volume != Volume::Phantom {
+            // The options of `read` have no effect on other options, and it needs its input.
+            if stage == "read" || !runs(stage, &case.volume) {
                 continue;
             }
             let (program, arguments) = command_of(stage, &folder, &case.settings, programs);

@@ -9,7 +9,7 @@ use crate::batch::{self, Batch, Ending, LOGS, Row};
 use crate::folder::{CaseFolder, PAGE, STAGES};
 use crate::inputs::{self, hash_program};
 use crate::program;
-use crate::run::{Case, goal_of_stage, out, problem, stage_of_goal};
+use crate::run::{Case, UNNAMED, goal_of_stage, out, problem, stage_of_goal};
 use crate::settings::Settings;
 use crate::stages::{self, Programs, Volume};
 use crate::status::{Problem, Stage, State, Status, Verdict};
@@ -71,7 +71,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
         .map(|stage| {
             let mut files = stages::program_of(stage, programs).1;
             if stage == "distfield" {
-                files.extend(stages::program_of("phantom", programs).1);
+                files.extend(UNNAMED.iter().flat_map(|stage| stages::program_of(stage, programs).1));
             }
             (stage, hash_program(&files))
         })
@@ -146,11 +146,11 @@ fn holds(status: &Status, case: &Case, stage: &str) -> bool {
     made && Settings::read(&then, &[], None, &[]).is_ok_and(|then| same(&then))
 }
 
-/// Returns the stages that the goal of a list requires, except `phantom`, which runs in the same
-/// job as `distfield`.
+/// Returns the stages that the goal of a list requires, except `phantom` and `read`, which run in
+/// the same job as `distfield`.
 fn wanted(batch: &Batch<'_>) -> Vec<&'static str> {
     let last = stage_of_goal(batch.goal).unwrap_or("tetmesh-check");
-    let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| *stage != "phantom").collect();
+    let stages: Vec<&str> = STAGES.iter().map(|it| it.stage).filter(|stage| !UNNAMED.contains(stage)).collect();
     let end = stages.iter().position(|stage| *stage == last).map_or(stages.len(), |at| at + 1);
     stages[..end].to_vec()
 }

@@ -34,7 +34,7 @@ pub struct Belongings {
 }
 
 /// All stages in the order in which they run. The page of the case does not belong to any stage.
-pub const STAGES: [Belongings; 7] = [
+pub const STAGES: [Belongings; 8] = [
     Belongings {
         stage: "phantom",
         output: "nrrd",
@@ -43,6 +43,7 @@ pub const STAGES: [Belongings; 7] = [
         set_aside: &[],
         explains: &[],
     },
+    Belongings { stage: "read", output: "input.vti", stems: &["input"], folders: &[], set_aside: &[], explains: &[] },
     Belongings {
         stage: "distfield",
         output: "distfield.vti",

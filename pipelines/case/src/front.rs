@@ -75,6 +75,12 @@ pub fn command(known: &[CommandLine]) -> Command {
         Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("Volume file, or folder of DICOM slices or masks"),
         Arg::new("output").short('o').long("output").value_name("V.vti").value_hint(ValueHint::FilePath),
     ]);
+    let read = Command::new("read").about("Write an HDF5, MATLAB or Zarr file as a VTK image (.vti)").args([
+        Arg::new("FILE").value_hint(ValueHint::AnyPath).help("HDF5 or MATLAB file, or folder of a Zarr store"),
+        Arg::new("output").short('o').long("output").value_name("V.vti").value_hint(ValueHint::FilePath),
+        Arg::new("dataset").long("dataset").value_name("NAME").help("Array to read: a path, a variable or a level"),
+        Arg::new("spacing").long("spacing").value_name("MM").help("Spacing of a file that does not contain it, mm"),
+    ]);
     Command::new("isoparticles")
         .version(env!("CARGO_PKG_VERSION"))
         .about("Volumes in, simulation-ready meshes out")
@@ -82,6 +88,7 @@ pub fn command(known: &[CommandLine]) -> Command {
         .disable_help_subcommand(true)
         .subcommand(of_volume("info", "Describe a volume and suggest options"))
         .subcommand(convert)
+        .subcommand(read)
         .subcommand(of_volume("mesh", "Mesh a volume with tetrahedra and write a report page"))
         .subcommand(of_volume("surface", "Mesh only the surface of a volume"))
         .subcommand(of_name("verdict", "Print the outcome of a case"))

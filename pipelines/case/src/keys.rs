@@ -38,12 +38,13 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 37] = [
+pub const KEYS: [Key; 39] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
     key("PHANTOM", Form::Words, "the shape and options of the phantom program"),
     key("SERIES", Form::Text, "the series of a folder of DICOM files, by description, number or UID"),
+    key("DATASET", Form::Text, "the array of an HDF5, MATLAB or Zarr file: a path, a variable or a level"),
     key(
         "SPACING",
         Form::Text,
@@ -60,6 +61,11 @@ pub const KEYS: [Key; 37] = [
     key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),
     key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO on which the object lies"),
     key("BORDER", Form::OneOf(&["cap", "open"]), "the treatment of the object at the border of the volume"),
+    key(
+        "SPACE",
+        Form::OneOf(&["lps", "ras", "scanner"]),
+        "the world frame of the results: lps, ras, or scanner, that of INPUT",
+    ),
     key("SCALE", Form::NotNegative, "the size of the features to smooth away, mm"),
     key("EPSILON", Form::Positive, "the ratio of edge length to local feature size"),
     key("DELTA", Form::Positive, "the maximum gradient of the edge length"),

@@ -19,6 +19,7 @@ pub mod inputs;
 pub mod keys;
 pub mod name;
 pub mod program;
+pub mod read;
 pub mod run;
 pub mod settings;
 pub mod stages;

@@ -7,7 +7,7 @@ use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, READING_BY_KEY, Volume, words_by_key};
 use isoparticles_case::status::Status;
-use isoparticles_case::{batch, cluster, front, index, keys, name, program, verdict};
+use isoparticles_case::{batch, cluster, front, index, keys, name, program, read, verdict};
 use isoparticles_stage::cli::shell;
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
@@ -280,6 +280,9 @@ fn info(settings: Settings, programs: &Programs) -> Result<u8> {
             format!("run '{} distfield' with the same settings first", program::front()),
         ));
     }
+    let converted = read::for_info(&volume, &case.settings, programs)?;
+    let volume = converted.as_ref().map_or(volume, read::Converted::path);
+    let case = Case { settings: read::settings_after(&case.settings), ..case };
     let mut words = vec!["info".into(), volume.into_os_string()];
     let object = [("--labels", "LABELS"), ("--iso", "ISO"), ("--inside", "INSIDE")];
     let options = [&READING_BY_KEY[..], &object].map(|pairs| words_by_key(pairs, &case.settings));

@@ -5,7 +5,29 @@ use std::path::Path;
 
 /// File name suffixes that are not part of the name of the results. The first match is removed, so
 /// `.seg.nrrd` comes before `.nrrd`.
-const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
+const ENDINGS: [&str; 21] = [
+    ".seg.nrrd",
+    ".nii.gz",
+    ".ome.tif",
+    ".ome.zarr",
+    ".nrrd",
+    ".nhdr",
+    ".nii",
+    ".hdr",
+    ".mgz",
+    ".mgh",
+    ".mha",
+    ".mhd",
+    ".tiff",
+    ".tif",
+    ".npy",
+    ".vti",
+    ".dcm",
+    ".zarr",
+    ".hdf5",
+    ".h5",
+    ".mat",
+];
 
 /// Returns the name of a volume's results: the file or folder name without a known suffix.
 ///
@@ -49,6 +71,7 @@ mod tests {
             ("left lung.seg.nrrd", "left lung"),
             ("CT.NRRD", "CT"),
             ("series/", "series"),
+            ("cells.ome.zarr/", "cells"),
             ("v1.2", "v1.2"),
             (".nrrd", ""),
         ] {

@@ -7,7 +7,7 @@ use crate::program::{self, Ended};
 use crate::settings::Settings;
 use crate::stages::{Plan, Planned, Programs, Volume, plan};
 use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, VOLUME, Verdict};
-use crate::{check, name, stages, verdict};
+use crate::{check, name, read, stages, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
 use std::ops::Range;
@@ -67,6 +67,7 @@ impl Case {
                 "check INPUT; for a case of pipelines/, set DATA to the folder of the volumes",
             ));
         }
+        read::check(&self.volume, &self.settings)?;
         let of_labels = ["LABELS", "MATERIALS"].into_iter().find(|key| self.settings.get(key).is_some());
         if self.settings.get("ISO").is_none() && of_labels.is_none() {
             return Err(Error::input(
@@ -467,13 +468,16 @@ fn complain(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
+/// Stages that are part of the goal `distfield`.
+pub(crate) const UNNAMED: [&str; 2] = ["phantom", "read"];
+
 /// Returns the last stage that a goal requires.
 #[must_use]
 pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
     match goal {
         "mesh" => Some("tetmesh-check"),
         "surface" => Some("reconstruct"),
-        _ => STAGES.iter().map(|stage| stage.stage).find(|stage| *stage == goal && goal != "phantom"),
+        _ => STAGES.iter().map(|stage| stage.stage).find(|stage| *stage == goal && !UNNAMED.contains(stage)),
     }
 }
 

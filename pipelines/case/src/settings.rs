@@ -102,6 +102,14 @@ impl Settings {
         self.values.get(key).map(|(value, _)| value.as_str())
     }
 
+    /// Returns the settings without one of the keys.
+    #[must_use]
+    pub fn without(&self, key: &str) -> Self {
+        let mut settings = self.clone();
+        settings.values.remove(key);
+        settings
+    }
+
     /// Splits a value that is a list of options into words, as a shell does.
     pub fn words(&self, key: &str) -> Vec<String> {
         // `keys::check` has verified the quotes.

@@ -3,6 +3,7 @@
 
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
+use crate::read;
 use crate::settings::Settings;
 use crate::status::{Input, Status};
 use isoparticles_stage::error::{Error, Result};
@@ -24,6 +25,12 @@ pub struct Programs {
 }
 
 impl Programs {
+    /// Returns the program that converts volumes.
+    #[must_use]
+    pub fn read(&self) -> PathBuf {
+        self.tetmesh_check.with_file_name(read::PROGRAM)
+    }
+
     /// Returns the program that generates a page.
     #[must_use]
     pub fn page(&self) -> PathBuf {
@@ -89,7 +96,8 @@ impl Planned {
 /// All stages of a case in order, and the files that they depend on.
 #[derive(Debug)]
 pub struct Plan {
-    /// The stages; `phantom` comes first if the volume is a phantom.
+    /// The stages. The first one is `phantom` if the volume is a phantom, or `read` if the volume
+    /// has to be converted.
     pub stages: Vec<Planned>,
     /// The volume and every file that an option names.
     pub inputs: Vec<Input>,
@@ -110,11 +118,12 @@ pub fn plan(
     let mut earlier = String::new();
     for belongings in &STAGES {
         let name = belongings.stage;
-        if name == "phantom" && *volume != Volume::Phantom {
+        if !runs(name, volume) {
             continue;
         }
         let mut inputs = match (name, volume) {
-            ("distfield", Volume::At(path)) => inputs::of_volume(path, before)?,
+            ("read", Volume::At(path)) => inputs::of_volume(path, before)?,
+            ("distfield", Volume::At(path)) if !read::is_needed(path) => inputs::of_volume(path, before)?,
             _ => Vec::new(),
         };
         if name == "distfield" {
@@ -137,11 +146,23 @@ pub fn plan(
     Ok(plan)
 }
 
+/// Returns whether a stage is part of a case with this volume.
+pub(crate) fn runs(stage: &str, volume: &Volume) -> bool {
+    match stage {
+        "phantom" => *volume == Volume::Phantom,
+        "read" => matches!(volume, Volume::At(path) if read::is_needed(path)),
+        _ => true,
+    }
+}
+
 /// Returns the settings that may change the result of a stage, apart from input files and earlier
-/// stages. The options of a phantom count as settings of `distfield`.
+/// stages. The options of `phantom` and `read` count as settings of `distfield`.
 #[must_use]
 pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = if stage == "distfield" { settings.words("PHANTOM") } else { Vec::new() };
+    if stage == "distfield" && read::is_set(settings) {
+        words.extend(options("read", settings));
+    }
     words.extend(options(stage, settings));
     words.extend(hxt(stage, settings).map(str::to_owned));
     words
@@ -158,6 +179,7 @@ fn hxt<'a>(stage: &str, settings: &'a Settings) -> Option<&'a str> {
 pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     match stage {
         "tetmesh-check" => (programs.tetmesh_check.clone(), programs.tetmesh_files.clone()),
+        "read" => (programs.read(), vec![programs.read()]),
         _ => (programs.bin.join(stage), vec![programs.bin.join(stage)]),
     }
 }
@@ -202,7 +224,14 @@ pub fn words_by_key(pairs: &[(&str, &str)], settings: &Settings) -> Vec<String> 
 /// uses its own default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
-        "distfield" => &[("--iso", "ISO"), ("--labels", "LABELS"), ("--inside", "INSIDE"), ("--border", "BORDER")],
+        "read" => &[("--dataset", "DATASET"), ("--spacing", "SPACING")],
+        "distfield" => &[
+            ("--iso", "ISO"),
+            ("--labels", "LABELS"),
+            ("--inside", "INSIDE"),
+            ("--border", "BORDER"),
+            ("--space", "SPACE"),
+        ],
         "sizefield" => &[
             ("--epsilon", "EPSILON"),
             ("--delta", "DELTA"),
@@ -249,6 +278,8 @@ fn sizes_of_materials(settings: &Settings) -> Vec<String> {
 /// Returns the arguments of a stage that may change its result.
 #[must_use]
 pub fn options(stage: &str, settings: &Settings) -> Vec<String> {
+    // A converted volume contains its spacing.
+    let settings = &if stage == "distfield" { read::settings_after(settings) } else { settings.clone() };
     let mut words = if stage == "distfield" { words_by_key(&READING_BY_KEY, settings) } else { Vec::new() };
     words.extend(words_by_key(options_by_key(stage), settings));
     let more = settings.words(options_key(stage));
@@ -304,7 +335,8 @@ fn arguments(
     let fields = [word("--distfield"), distfield.clone(), word("--sizefield"), sizefield.clone()];
     let mut words: Vec<OsString> = match stage {
         "phantom" => vec![word("--truth"), file("truth.json")],
-        "distfield" => match volume {
+        "read" | "distfield" => match volume {
+            Volume::At(path) if stage == "distfield" && read::is_needed(path) => vec![file("input.vti")],
             Volume::At(path) => vec![path.clone().into_os_string()],
             Volume::Phantom => vec![file("nrrd")],
         },

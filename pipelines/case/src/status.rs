@@ -185,7 +185,7 @@ pub struct Status {
     pub inputs: Vec<Input>,
     /// Settings from the user and the case file.
     pub parameters: BTreeMap<String, String>,
-    /// The stages in order; `phantom` comes first if the volume is a phantom.
+    /// The stages in order; `phantom` or `read` comes first if one of them makes the volume.
     pub stages: Vec<Stage>,
     /// File name of the page of the case, if there is one.
     pub page: Option<String>,

@@ -1,10 +1,12 @@
-//! The context of a run of `tetmesh-check`: messages, steps, progress, history and report, as in
-//! the stages written in Rust.
+//! The context of a run of `tetmesh-check` or `isoparticles-read`: messages, steps, progress,
+//! history and report, as in the stages written in Rust.
 
 use crate::arrays::compute;
 use crate::errors::raised;
 use isoparticles_stage::cli::{self, CommonArgs, Outcome, ProgressMode, exit_code, values};
 use isoparticles_stage::error::{Error, Kind};
+use isoparticles_stage::history::file_name;
+use isoparticles_stage::limit;
 use isoparticles_stage::output::{self, write_atomically};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -14,9 +16,10 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-const TOOL: &str = "tetmesh-check";
+/// The programs that use this context.
+const TOOLS: [&str; 2] = ["tetmesh-check", "isoparticles-read"];
 
-/// Options of this stage with a value that do not affect the mesh.
+/// Options with a value that do not affect the result.
 const SILENT: [&str; 4] = ["--pictures", "--export", "--max-seconds", "--solve-seconds"];
 
 /// The parsed command line, as far as the context needs it.
@@ -65,9 +68,12 @@ pub(crate) struct Context {
 
 #[pymethods]
 impl Context {
-    /// Creates the context of a run with these words on the command line.
+    /// Creates the context of a run of the program `tool` with these words on the command line.
     #[new]
-    fn new(py: Python<'_>, words: Vec<OsString>, parsed: Parsed) -> PyResult<Self> {
+    #[pyo3(signature = (words, parsed, tool="tetmesh-check"))]
+    fn new(py: Python<'_>, words: Vec<OsString>, parsed: Parsed, tool: &str) -> PyResult<Self> {
+        let tool = TOOLS.into_iter().find(|known| *known == tool);
+        let tool = tool.ok_or_else(|| PyValueError::new_err("no such program"))?;
         let progress = <ProgressMode as clap::ValueEnum>::from_str(&parsed.progress, false);
         let common = CommonArgs {
             verbose: parsed.verbose,
@@ -80,7 +86,7 @@ impl Context {
             progress: progress.map_err(PyValueError::new_err)?,
         };
         let context =
-            cli::Context::for_program(TOOL, words.iter().map(lossy).collect(), parsed.output, &SILENT, common);
+            cli::Context::for_program(tool, words.iter().map(lossy).collect(), parsed.output, &SILENT, common);
         let context = context.map_err(|error| raised(py, error))?;
         let parameters = PyDict::new(py);
         parameters.set_item("seed", context.seed())?;
@@ -151,6 +157,16 @@ impl Context {
         if !history.is_none() {
             entry.set_item("history", history)?;
         }
+        self.inputs.bind(py).append(entry)
+    }
+
+    /// Adds an input that is not hashed as a file: its path, and the hash of its content.
+    fn add_value(&self, py: Python<'_>, path: PathBuf, hash: String) -> PyResult<()> {
+        let name = file_name(&path);
+        let entry = PyDict::new(py);
+        entry.set_item("path", &name)?;
+        entry.set_item("blake3", &hash)?;
+        self.context.add_value(name, hash, None);
         self.inputs.bind(py).append(entry)
     }
 
@@ -260,6 +276,12 @@ impl Progress {
 #[pyfunction]
 pub(crate) fn check_output(py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
     output::check_output(&path, force).map_err(|error| raised(py, error))
+}
+
+/// Fails if `needed` bytes for the file `path` do not fit in the free memory.
+#[pyfunction]
+pub(crate) fn check_memory(py: Python<'_>, path: PathBuf, needed: u64) -> PyResult<()> {
+    limit::check_memory(&path, needed).map_err(|error| raised(py, error.into()))
 }
 
 /// Parses a number of bytes, such as `8G`; K, M, G and T denote powers of 1024. The error is an

@@ -198,6 +198,14 @@ impl Data {
         }
     }
 
+    /// The world frame: `lps`, `ras`, or none if it is not anatomical.
+    #[getter]
+    fn space(&self) -> Option<String> {
+        let of_grid = || self.0.geometry().map(|geometry| geometry.space);
+        let space = self.0.surface().map(|surface| surface.space).or_else(of_grid)?;
+        space.name().map(str::to_lowercase)
+    }
+
     /// The grid, unless this is a surface.
     #[getter]
     fn grid(&self) -> Option<Grid> {

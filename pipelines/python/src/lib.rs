@@ -29,7 +29,7 @@ mod _native {
     #[pymodule_export]
     use crate::arrays::set_threads;
     #[pymodule_export]
-    use crate::context::{Context, Progress, Step, check_output, number_of_bytes};
+    use crate::context::{Context, Progress, Step, check_memory, check_output, number_of_bytes};
     #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]

@@ -135,20 +135,21 @@ pub(crate) fn reconstruct(
     field: Option<&Bound<'_, Data>>,
     size: Option<&Bound<'_, Data>>,
 ) -> PyResult<Finished> {
-    use isoparticles_reconstruct::run::{Args, Inputs, compute, compute_on_field};
+    use isoparticles_reconstruct::run::{Args, Inputs, compute};
     let known = field.map_or(Ok(Known::default()), |field| known(py, field))?;
     let (points, field, size) = (keep(points), field.map(keep), size.map(keep));
     run(py, "reconstruct", words, known, watch, move |args: &Args, context| {
         let all = std::iter::once(&points).chain(&field).chain(&size);
         all.into_iter().try_for_each(|kept| kept.record(context))?;
-        let particles = points.particles()?;
-        let made = match &field {
-            None => compute(args, Inputs::Particles(particles.clone()), context)?,
+        let particles = points.particles()?.clone();
+        let inputs = match &field {
+            None => Inputs::Particles(particles),
             Some(field) => {
-                let sizing = size.as_ref().map(|size| size.sizing()).transpose()?;
-                compute_on_field(args, particles, field.distance()?, sizing, context)?
+                let sizing = size.as_ref().map(|size| size.sizing().cloned()).transpose()?;
+                Inputs::Field { particles, distance: field.distance()?.clone(), sizing }
             }
         };
+        let made = compute(args, inputs, context)?;
         let (meta, failed) = (json!(made.meta), made.meta.failed_checks);
         let file = SurfaceFile { surface: made.surface, meta, history: Some(context.history()) };
         Ok((Value::Surface { file, offending: made.offending.filter(|_| !failed.is_empty()) }, failed))

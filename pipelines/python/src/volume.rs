@@ -3,9 +3,9 @@
 use crate::arrays::compute;
 use crate::errors::raised;
 use glam::{DMat3, DVec3};
-use isoparticles_stage::history::hash_written;
+use isoparticles_stage::history::{History, hash_written};
 use isoparticles_volume::masks::join_masks;
-use isoparticles_volume::{Endian, Geometry, Space, Voxels, read_volume};
+use isoparticles_volume::{Endian, Geometry, LayerLabel, Segment, Space, Voxels, read_volume, write_volume};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -21,7 +21,7 @@ pub(crate) struct Volume(Mutex<Option<isoparticles_volume::Volume>>);
 impl Volume {
     /// Copies an array whose axes are x, y and z. `slabs` returns its parts along z, in order. The
     /// caller has checked the geometry: `spacing` and `origin` are in mm, and `axes` contains the
-    /// unit vectors of the three axes. `is_lps` states that the world frame is LPS.
+    /// unit vectors of the three axes. `space` is the world frame: `lps`, `ras` or none.
     #[new]
     fn new(
         slabs: &Bound<'_, PyIterator>,
@@ -30,7 +30,7 @@ impl Volume {
         spacing: [f64; 3],
         origin: [f64; 3],
         axes: [[f64; 3]; 3],
-        is_lps: bool,
+        space: Option<&str>,
     ) -> PyResult<Self> {
         let count = size.iter().product();
         let voxels = match dtype {
@@ -51,9 +51,41 @@ impl Volume {
             spacing: DVec3::from_array(spacing),
             directions: DMat3::from_cols_array_2d(&axes),
             origin: DVec3::from_array(origin),
-            space: if is_lps { Space::Lps } else { Space::Unnamed },
+            space: match space {
+                Some("lps") => Space::Lps,
+                Some("ras") => Space::Ras,
+                _ => Space::Unnamed,
+            },
         };
-        Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels)))))
+        Ok(Self(Mutex::new(Some(isoparticles_volume::Volume::new(geometry, voxels).in_lps()))))
+    }
+
+    /// Sets the names of labels.
+    fn name_labels(&self, names: Vec<(String, i64)>) -> PyResult<()> {
+        let mut volume = self.take()?;
+        let named = |(name, label)| Segment { name, at: LayerLabel { layer: 0, label } };
+        volume.segments = names.into_iter().map(named).collect();
+        self.put(volume);
+        Ok(())
+    }
+
+    /// Returns the hash of the type, the geometry, the values and the segments.
+    fn hash(&self, py: Python<'_>) -> PyResult<String> {
+        let volume = self.take()?;
+        let (volume, hash) = compute(py, move || {
+            let hash = hash(&volume);
+            (volume, hash)
+        })?;
+        self.put(volume);
+        Ok(hash?)
+    }
+
+    /// Writes the volume as a VTK image, with a history in JSON. A stage cannot use it afterwards.
+    fn write(&self, py: Python<'_>, path: PathBuf, history: &str) -> PyResult<()> {
+        let volume = self.take()?;
+        let history: History =
+            serde_json::from_str(history).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        compute(py, move || write_volume(&path, &volume, &history))?.map_err(|error| raised(py, error.into()))
     }
 
     /// Joins masks into a label volume whose segments have the given names. A mask is a volume or
@@ -93,6 +125,10 @@ impl Volume {
     pub(crate) fn take(&self) -> PyResult<isoparticles_volume::Volume> {
         let volume = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
         volume.ok_or_else(|| PyValueError::new_err("this volume has been used"))
+    }
+
+    fn put(&self, volume: isoparticles_volume::Volume) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(volume);
     }
 }
 

@@ -8,6 +8,7 @@ import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXE = sysconfig.get_config_var("EXE") or ""
@@ -71,6 +72,25 @@ def test_stages_run_by_themselves(run: Run, tmp_path: Path) -> None:
     assert run("tetmesh-check", "--version").stdout.startswith("tetmesh-check ")
 
 
+def test_an_array_of_a_file_is_converted_once(run: Run, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    x, y, z = np.mgrid[:20, :20, :20] - 9.5
+    with h5py.File(tmp_path / "scan.h5", "w") as file:
+        file["volume"] = (10 * (8 - np.sqrt(x**2 + y**2 + z**2))).astype("f4").T
+        file["other"] = np.zeros((4, 4, 4))
+    words = ["distfield", "scan.h5", "--iso", "0"]
+    assert "isoparticles-read" in run(*words, "-o", "f.vti").stderr
+    words = ["surface", "scan.h5", "--iso", "0", "--size", "3", "--backend", "cpu", "-q"]
+    assert "choose it as the dataset: /other, /volume" in run(*words).stderr
+    words += ["--dataset", "/volume"]
+    done = run(*words)
+    assert done.returncode == 0, done.stderr
+    assert "up to date: read, distfield" in run(*words).stdout
+    assert "20 x 20 x 20" in run("info", "scan.h5", "--dataset", "/volume").stdout
+    assert run("read", "scan.h5", "--dataset", "volume", "-o", "v.vti", "-q").returncode == 0
+    assert "isoparticles read" in run("read", "scan.h5").stderr
+
+
 def test_the_demo_runs_without_the_project(run: Run, tmp_path: Path) -> None:
     done = run("demo", "--min-size", "6", "NAME=small", "-o", "here", "-q")
     assert done.returncode == 0, done.stderr
@@ -96,6 +116,7 @@ def test_the_demo_runs_without_the_project(run: Run, tmp_path: Path) -> None:
         (("mesh", "a.nrrd", "b.nrrd"), "a second INPUT"),
         (("mesh", "a.nrrd", "--lables", "1"), "did you mean LABELS? `isoparticles help` lists them"),
         (("mesh", "a.nrrd", "--labels"), "--labels: has no value"),
+        (("mesh", __file__, "--iso", "1", "--dataset", "0"), "DATASET=0 is set, but the volume has no named arrays"),
         (("mehs", "a.nrrd"), "mehs: no such goal or stage"),
         (("batch",), "LIST is not set"),
     ],

@@ -301,6 +301,63 @@ def test_images_of_other_packages(iso: ModuleType, monkeypatch: pytest.MonkeyPat
             iso.distance_field(image, spacing=(1, 1, 1), **options)
 
 
+def nibabel_image(labels: np.ndarray, affine: np.ndarray) -> Any:
+    nifti = type("Nifti1Image", (), {"__module__": "nibabel.nifti1"})()
+    nifti.dataobj, nifti.affine = labels, affine
+    return nifti
+
+
+@pytest.mark.parametrize("settings", [{"labels": "1,2"}, {"materials": ["left=1", "right=2"]}])
+def test_ras_differs_from_lps_by_signs(iso: ModuleType, tmp_path: Path, settings: dict[str, Any]) -> None:
+    """The image is oblique and left-handed; its world frame is RAS."""
+    turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [-0.48, -0.64, -0.6]]).T
+    affine = np.eye(4)
+    affine[:3] = np.column_stack([turn * [1.0, 1.25, 0.75], [-40.5, 12.25, 7.0]])
+    image, signs = nibabel_image(halves(), affine), np.array([-1.0, -1.0, 1.0])
+    shared = {**settings, "size": 3.0, "backend": "cpu", "name": "ball"}
+    made = {space: iso.mesh(image, space=space, **shared) for space in ("lps", "ras", "scanner")}
+    assert [one.result.space for one in made.values()] == ["lps", "ras", "ras"]
+    lps, ras, scanner = (one.result for one in made.values())
+    assert np.array_equal(ras.vertices, lps.vertices * signs)
+    assert np.array_equal(ras.triangles, lps.triangles)
+    assert np.array_equal(scanner.vertices, ras.vertices)
+    for name in set(lps.arrays) - {"vertices"}:
+        expected = lps.arrays[name] * (signs if name.endswith("normal") else 1)
+        assert np.array_equal(ras.arrays[name], expected), name
+    assert made["ras"].report.volumes == made["lps"].report.volumes
+    assert np.array_equal(made["ras"].particles.arrays["positions"], made["lps"].particles.arrays["positions"] * signs)
+    assert ras.history["parameters"]["space"] == "ras"
+
+    again = iso.reconstruct(*(getattr(made["lps"], one) for one in ("particles", "field", "size")), space="scanner")
+    assert again.space == "ras"
+    assert np.array_equal(again.vertices, ras.vertices)
+    for ending in ("ply", "stl", "obj", "vtk"):
+        for name, surface in (("lps", lps), ("ras", ras)):
+            surface.save(tmp_path / f"{name}.{ending}")
+        of_lps, of_ras = (pyvista.read(tmp_path / f"{name}.{ending}") for name in ("lps", "ras"))
+        assert np.array_equal(of_ras.points, of_lps.points * signs), ending
+        assert of_ras.volume > 0
+        assert b"world frame RAS" in (tmp_path / f"ras.{ending}").read_bytes()[:512]
+
+    pairs = [(made[name].result, made[name].size) for name in ("lps", "ras")]
+    with pytest.warns(iso.MeshWarning, match="against the voxels"):
+        grids = [iso.fill(*pair, method="hxt", solve="no").to_pyvista() for pair in pairs]
+    assert np.array_equal(grids[1].points, grids[0].points * signs)
+    # labels at the centroids, as nibabel finds them; the surface is half a voxel from the centres
+    centres = np.asarray(grids[1].cell_centers().points)
+    index = np.round((centres - affine[:3, 3]) @ np.linalg.inv(affine[:3, :3]).T).astype(int)
+    found = halves()[tuple(index.T)]
+    assert (found > 0).mean() > 0.95
+    if "materials" in settings:
+        assert (found == np.asarray(grids[1].cell_data["region"]))[found > 0].mean() > 0.95
+
+
+def test_an_image_without_anatomical_space_has_no_ras(iso: ModuleType) -> None:
+    with pytest.raises(iso.Error, match="names no anatomical space"):
+        iso.distance_field(ball(), labels=1, space="ras")
+    assert iso.distance_field(ball(), labels=1, space="scanner").space is None
+
+
 def test_masks_by_name_are_the_folder_of_masks(iso: ModuleType, tmp_path: Path) -> None:
     left = ball().astype(bool)
     right = np.zeros_like(left)

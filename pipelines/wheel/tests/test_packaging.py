@@ -52,10 +52,11 @@ def test_the_conda_recipe_has_the_same_versions() -> None:
     assert f'version: "{stage["version"]}"' in recipe
     host, run = (recipe.partition(f"  {name}:\n")[2].partition("\n  run:")[0] for name in ("host", "run"))
     python = f"python{package['project']['requires-python']}"
+    extras = stage["optional-dependencies"]
     for part, wanted in (
         (host, package["build-system"]["requires"]),
         # conda has no extras
-        (run.partition("\n\n")[0], stage["dependencies"] + stage["optional-dependencies"]["fem"]),
+        (run.partition("\n\n")[0], stage["dependencies"] + [*extras["fem"], *extras["formats"]]),
     ):
         listed = {line.strip("- ").replace(" ", "").replace("-base", "") for line in part.splitlines()}
         assert listed - {"pip"} == {python, *wanted}

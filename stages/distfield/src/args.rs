@@ -6,6 +6,7 @@ use crate::materials::MaterialChoice;
 use crate::materials::overlaps::Overlap;
 use crate::{Border, Inside, Keep};
 use isoparticles_stage::cli::{CommonArgs, FILES, METHOD};
+use isoparticles_stage::space::SpaceChoice;
 use isoparticles_survey::input::InputArgs;
 use isoparticles_survey::kind::KindChoice;
 use isoparticles_survey::selection::Selection;
@@ -104,6 +105,12 @@ pub struct Args {
     /// of the triangles from the curved surface
     #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
+    /// World frame of the output, which later stages keep: lps (left, posterior, superior), ras
+    /// (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI and RAS
+    /// NRRD, LPS for DICOM and MetaImage. A volume without an anatomical space keeps its
+    /// coordinates
+    #[arg(long, value_enum, value_name = "FRAME", default_value_t = SpaceChoice::Lps, help_heading = METHOD)]
+    pub space: SpaceChoice,
     /// The options of the scale.
     #[command(flatten)]
     pub scale: ScaleArgs,

@@ -24,6 +24,7 @@ pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     }
     let volume = reduce(args, args.input.read()?, &Context::silent("distfield"))?;
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.name(), error.what), ..error };
+    args.space.of(volume.geometry.clone(), Some(volume.file_space)).map_err(about_file)?;
     let mut materials = Vec::new();
     if !args.material.is_empty() {
         let chosen = resolve(&args.material, &volume).map_err(about_file)?;

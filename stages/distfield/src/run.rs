@@ -20,6 +20,7 @@ use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
 use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
+use isoparticles_stage::space;
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{CutFaces, Geometry, Image, LayerLabel, Volume};
 use serde_json::{Map, Value, json};
@@ -77,8 +78,11 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     for remark in &volume.remarks {
         context.warn(remark);
     }
-    let volume = reduce(args, volume, context)?;
+    let mut volume = reduce(args, volume, context)?;
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.name(), error.what), ..error };
+    volume.geometry = args.space.of(volume.geometry, Some(volume.file_space)).map_err(about_file)?;
+    context.set_parameter("space", space::parameter(volume.geometry.space));
+    context.set_parameter(space::FILE_SPACE, space::parameter(volume.file_space));
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
         let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;

@@ -7,7 +7,8 @@ use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 use glam::{DMat3, DVec3};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_stage::cli::Context;
-use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::field_file::{Field, FieldKind, read_field};
+use isoparticles_stage::space;
 use isoparticles_volume::nrrd::{Encoding, write_nrrd};
 use isoparticles_volume::{Geometry, Space, Voxels, read_volume, write_volume};
 use std::path::{Path, PathBuf};
@@ -150,17 +151,19 @@ fn dicom(folder: &Path) {
     }
 }
 
-fn distfield(arguments: &[&Path]) {
-    let run = Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs");
+/// Returns the distance field of a volume.
+fn field(volume: &Path, folder: &Path, space: &str) -> Field {
+    let output = folder.join("field.vti");
+    let words = ["--iso", "1500", "--space", space, "--force", "-q", "-o"].map(Path::new);
+    let words = [&[volume], &words[..], &[output.as_path()]].concat();
+    let run = Command::new(env!("CARGO_BIN_EXE_distfield")).args(words).output().expect("the program runs");
     assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    read_field(&output, FieldKind::Distance).expect("a field")
 }
 
 /// Returns the vertices of the surface of a volume, in world coordinates (mm).
 fn surface(volume: &Path, folder: &Path) -> Vec<DVec3> {
-    let output = folder.join("field.vti");
-    let words = ["--iso", "1500", "--force", "-q", "-o"].map(Path::new);
-    distfield(&[&[volume], &words[..], &[output.as_path()]].concat());
-    let field = read_field(&output, FieldKind::Distance).expect("a field").image;
+    let field = field(volume, folder, "lps").image;
     let mesh = marching_cubes(&field, 0.0);
     mesh.vertices.iter().map(|&vertex| field.geometry.grid_to_world(vertex)).collect()
 }
@@ -187,5 +190,38 @@ fn every_kind_of_file_gives_the_same_surface_in_the_world() {
         assert_eq!(found.len(), expected.len(), "{name}");
         let largest = found.iter().zip(&expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
         assert!(largest < 1e-4, "{name}: {largest} mm away");
+    }
+}
+
+#[test]
+fn ras_differs_from_lps_by_the_signs_of_x_and_y() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| -> PathBuf { folder.path().join(name) };
+    nrrd_in_ras(&path("ras.nrrd"));
+    nifti(&path("v.nii"));
+    meta_image(&path("v.mha"));
+    dicom(&path("series"));
+    let volume = read_volume(&path("v.nii")).expect("a volume");
+    write_volume(&path("v.vti"), &volume, &Context::silent("test").history()).expect("written");
+    let of_files = [("ras.nrrd", "ras"), ("v.nii", "ras"), ("v.vti", "ras"), ("v.mha", "lps"), ("series", "lps")];
+    for (name, of_file) in of_files {
+        let [lps, ras, scanner] = ["lps", "ras", "scanner"].map(|space| field(&path(name), folder.path(), space));
+        assert_eq!(ras.image.data, lps.image.data, "{name}");
+        let (a, b) = (&lps.image.geometry, &ras.image.geometry);
+        assert_eq!((a.space, b.space), (Space::Lps, Space::Ras), "{name}");
+        let signs = DVec3::new(-1.0, -1.0, 1.0);
+        for node in 0..a.voxel_count() {
+            let grid = a.node_to_grid(node);
+            assert_eq!(b.grid_to_world(grid), signs * a.grid_to_world(grid), "{name}");
+            assert_eq!(b.world_to_grid(b.grid_to_world(grid)), a.world_to_grid(a.grid_to_world(grid)), "{name}");
+        }
+        assert_eq!(scanner.image, if of_file == "ras" { &ras } else { &lps }.image, "{name}");
+        let parameters = |field: &Field| field.history.clone().expect("written").parameters;
+        assert_eq!(
+            (parameters(&ras)["space"].as_str(), parameters(&lps)["space"].as_str()),
+            (Some("ras"), Some("lps"))
+        );
+        assert_eq!(parameters(&lps)["file_space"], of_file, "{name}");
+        assert_eq!(space::file_space(&lps.history.expect("written")), Some(scanner.image.geometry.space), "{name}");
     }
 }

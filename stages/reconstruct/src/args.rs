@@ -8,6 +8,7 @@ use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, FILES, METHOD, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::meta::{Border, DistanceMeta};
+use isoparticles_stage::space::SpaceChoice;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -75,6 +76,10 @@ pub struct Args {
     /// thousand vertices receive additional sweeps as long as these help
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
+    /// World frame of the mesh: lps (left, posterior, superior), ras (right, anterior, superior),
+    /// or scanner, the frame of the file that distfield read [default: that of the particles]
+    #[arg(long, value_enum, value_name = "FRAME", help_heading = METHOD)]
+    pub space: Option<SpaceChoice>,
     /// Minimum radius ratio of a triangle, 0 to 1 [default: 0.3 with a distance field; none
     /// without]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]

@@ -20,7 +20,8 @@ use isoparticles_mesh::{TriangleMesh, components};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::meta::{self, Source, SurfaceMeta};
-use isoparticles_volume::Geometry;
+use isoparticles_stage::space::parameter;
+use isoparticles_volume::{Geometry, Space};
 use serde_json::json;
 
 /// Minimum share of points with an umbrella. Below it, a warning says that the surface is
@@ -60,12 +61,18 @@ impl Points {
     }
 }
 
-/// Meshes points without a distance field.
+/// Meshes points without a distance field. `file` is the world frame of the volume's file, if
+/// known.
 ///
 /// # Errors
-/// If the points cannot be triangulated or do not enclose a solid, or if the run is interrupted.
-pub(crate) fn compute(args: &Args, points: Points, context: &Context) -> Result<Made> {
-    let Points { mut points, geometry, has_sizes } = points;
+/// If the points cannot be triangulated or do not enclose a solid, if they have no anatomical frame
+/// and one is chosen, or if the run is interrupted.
+pub(crate) fn compute(args: &Args, points: Points, file: Option<Space>, context: &Context) -> Result<Made> {
+    let Points { mut points, mut geometry, has_sizes } = points;
+    if let Some(choice) = args.space {
+        geometry = choice.of(geometry, file)?;
+    }
+    context.set_parameter("space", parameter(geometry.space));
     let step = context.step("triangulate");
     let delaunay = points.triangulate().map_err(|e| about(&args.particles, e))?;
     drop(step);

@@ -26,6 +26,7 @@ use isoparticles_stage::field_file::{Field, check_same_grid};
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::ParticleFile;
+use isoparticles_stage::space::{file_space, parameter};
 use serde_json::json;
 use std::sync::Arc;
 
@@ -70,22 +71,30 @@ fn check_files(args: &Args) -> Result<()> {
 /// ([`SurfaceMeta::failed_checks`]).
 pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
     match inputs {
-        Inputs::Cloud(cloud) => points_alone::compute(args, Points::of_cloud(cloud), context),
+        Inputs::Cloud(cloud) => {
+            let file = cloud.history.as_ref().and_then(file_space);
+            points_alone::compute(args, Points::of_cloud(cloud), file, context)
+        }
         Inputs::Particles(file) => {
             warn_unless_settled(args, &file, context);
-            points_alone::compute(args, Points::of_particles(file.particles), context)
+            let of_file = file_space(&file.history);
+            points_alone::compute(args, Points::of_particles(file.particles), of_file, context)
         }
-        Inputs::Field { particles, distance, sizing } => {
+        Inputs::Field { mut particles, mut distance, mut sizing } => {
+            if let Some(choice) = args.space {
+                let file = distance.history().and_then(file_space);
+                let space = choice.of(distance.geometry().clone(), file)?.space;
+                particles.particles.geometry = particles.particles.geometry.in_space(space);
+                distance = distance.in_space(space);
+                sizing = sizing.map(|sizing| sizing.in_space(space));
+            }
             compute_on_field(args, &particles, &distance, sizing.as_ref(), context)
         }
     }
 }
 
-/// Computes the surface like [`compute`], from particles, their field and the size field if given.
-///
-/// # Errors
-/// As for [`compute`].
-pub fn compute_on_field(
+/// Computes the surface from particles, their field and the size field if given.
+fn compute_on_field(
     args: &Args,
     file: &ParticleFile,
     distance: &DistanceField,
@@ -99,6 +108,7 @@ pub fn compute_on_field(
     let (particles, geometry) = (&file.particles, distance.geometry());
     let [path, size_path] = args.field_names();
     check_same_grid((&args.particles, &particles.geometry), (path, geometry))?;
+    context.set_parameter("space", parameter(geometry.space));
     let count = particles.positions.len();
     let fewer = match distance {
         DistanceField::Object(_) => "reduce their number: sizefield --min-size, --scale or --quality coarse",

@@ -108,7 +108,7 @@ fn particles_need_no_field_and_come_out_in_the_world() {
         tool: "particles".into(),
         version: "0".into(),
         command_line: "particles".into(),
-        parameters: json!({}),
+        parameters: json!({ "file_space": "ras" }),
         inputs: vec![],
     };
     let (kind, meta, extra) = (ParticleKind::Particles, Value::Null, Vec::new());
@@ -127,6 +127,16 @@ fn particles_need_no_field_and_come_out_in_the_world() {
     let again = read_surface(&folder.path("again.vtp")).unwrap();
     assert_eq!(again.surface.space, Space::Lps);
     assert_eq!(again.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "reconstruct");
+    // In the frame of the volume's file, the signs of x and y differ.
+    for (input, like) in [("p.bin", &surface.surface), ("s.vtp", &again.surface)] {
+        let words = [input, "--method", "tight-cocone", "--space", "scanner", "-o", "ras.vtp", "--force"];
+        let (code, said, report) = folder.run(&words);
+        assert_eq!((code, &report["parameters"]["space"]), (0, &json!("ras")), "{said}");
+        let ras = read_surface(&folder.path("ras.vtp")).unwrap().surface;
+        assert_eq!(ras.space, Space::Ras);
+        let turned = like.mesh.vertices.iter().map(|p| DVec3::new(-p.x, -p.y, p.z));
+        assert!(ras.mesh.vertices.iter().copied().eq(turned) && ras.mesh.triangles == like.mesh.triangles);
+    }
 }
 
 #[test]

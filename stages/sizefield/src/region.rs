@@ -36,7 +36,7 @@ pub enum Refinement {
 /// A ball in which h is at most `size`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ball {
-    /// Centre in world coordinates, mm.
+    /// Centre in world coordinates of F, mm.
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
@@ -94,9 +94,10 @@ impl Refinement {
             Self::Ball(ball) => ball.nodes(geometry).map(|node| (node, ball.size)).collect(),
             Self::Mask { file, size } => mask_nodes(file, geometry)?.into_iter().map(|node| (node, *size)).collect(),
             Self::Points { file } => {
-                let points = read_sized_points(file, "h")?;
+                let (points, space) = read_sized_points(file, "h")?;
+                let signs = space.signs_to(geometry.space);
                 let around = |&(p, size): &(DVec3, f64)| {
-                    nodes_around(geometry, geometry.world_to_grid(p)).map(move |node| (node, size))
+                    nodes_around(geometry, geometry.world_to_grid(p * signs)).map(move |node| (node, size))
                 };
                 points.iter().flat_map(around).collect::<Vec<SizedNode>>()
             }
@@ -113,8 +114,9 @@ impl Refinement {
                 format!("--refine: {what} outside the grid of F"),
                 "it would have no effect",
                 format!(
-                    "use world coordinates in mm, as in the meshes (LPS): the grid covers {}; \
+                    "use world coordinates in mm, as in the meshes{}: the grid covers {}; \
                      DISTFIELD_OPTIONS=\"--grid volume\" computes F on the whole volume",
+                    geometry.space.name().map_or_else(String::new, |name| format!(" ({name})")),
                     extent_told(geometry)
                 ),
             ));
@@ -135,7 +137,7 @@ fn extent_told(geometry: &Geometry) -> String {
 /// of the grid.
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
-    let (mask, place) = (volume.voxels.to_f32(), volume.geometry);
+    let (mask, place) = (volume.voxels.to_f32(), volume.geometry.in_space(geometry.space));
     let is_set = |value: f32| value != 0.0 && value.is_finite();
     let mut nodes: Vec<usize> = (0..geometry.voxel_count())
         .into_par_iter()
@@ -211,8 +213,10 @@ pub(crate) fn refined_nodes(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoparticles_mesh::TriangleMesh;
+    use isoparticles_mesh::surface::{DataArray, Surface, write_surface};
     use isoparticles_stage::field_file::{Field, FieldKind};
-    use isoparticles_volume::Image;
+    use isoparticles_volume::{Image, Space};
 
     #[test]
     fn text_is_read_or_refused_with_the_form() {
@@ -246,6 +250,26 @@ mod tests {
         assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
     }
 
+    /// A ball is in the frame of F. A file of points is in its own frame, if it names one.
+    #[test]
+    fn balls_and_points_are_placed_in_both_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("points.vtp");
+        let lps = Geometry { space: Space::Lps, ..Geometry::axis_aligned([20, 20, 20], DVec3::ONE) };
+        let lps = Geometry { origin: DVec3::new(-3.0, 12.0, 7.0), ..lps };
+        let vertices = vec![DVec3::new(4.2, 5.1, 6.7), DVec3::new(12.0, 9.5, 3.5), DVec3::new(2.5, 14.0, 8.0)];
+        let mut surface = Surface::from_grid(&TriangleMesh { vertices, triangles: vec![[0, 1, 2]] }, &lps);
+        surface.point_data.push(DataArray::scalars("h", vec![0.5, 0.75, 1.0]));
+        let history = Context::silent("reconstruct").history();
+        write_surface(&file, &surface, &serde_json::Value::Null, &history).unwrap();
+        let ras = lps.clone().in_space(Space::Ras);
+        let points = Refinement::Points { file };
+        assert_eq!(points.nodes(&ras).unwrap(), points.nodes(&lps).unwrap());
+        let ball = |x, y| Ball { centre: DVec3::new(x, y, 14.0), radius: 3.0, size: 0.5 };
+        let nodes: Vec<usize> = ball(5.0, 20.0).nodes(&lps).collect();
+        assert!(nodes.len() > 100 && ball(-5.0, -20.0).nodes(&ras).eq(nodes));
+    }
+
     /// Tests a mask whose grid is finer than the grid of F, shifted, and rotated by 90 degrees
     /// about z.
     #[test]
@@ -265,14 +289,23 @@ mod tests {
                 }
             }
         }
-        let field =
-            Field { image: mask.into(), meta: serde_json::Value::Null, history: None, kind: FieldKind::Distance };
-        field.write(&file).unwrap();
+        let field = |space| {
+            let mask = Image { geometry: Geometry { space, ..place.clone() }, data: mask.data.clone() };
+            Field { image: mask.into(), meta: serde_json::Value::Null, history: None, kind: FieldKind::Distance }
+        };
+        field(Space::Unnamed).write(&file).unwrap();
         // in world coordinates, the mask extends in x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, in y
         // from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, and in z from 5.4 to 7.4
         let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
         let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
+        // a mask in LPS lies at the same place in a field in RAS
+        field(Space::Lps).write(&file).unwrap();
+        let lps = Geometry { space: Space::Lps, ..geometry.clone() };
+        for space in [Space::Lps, Space::Ras] {
+            let own = lps.clone().in_space(space);
+            assert_eq!(Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&own).unwrap(), found);
+        }
         for n in 0..geometry.voxel_count() {
             let p = geometry.node_to_grid(n);
             let is_found = found.contains(&(n, 0.5));

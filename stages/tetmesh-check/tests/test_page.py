@@ -508,3 +508,20 @@ def test_histograms_have_the_limits_of_the_checks(case: Path) -> None:
     ]
     again = replace(whole, stages=stages)
     assert "limit 0.3: below it the check fails" in render("quality", case=again)
+
+
+def test_places_have_the_letters_of_their_frame(case: Path) -> None:
+    report = json.loads((case / "a&b.report.json").read_text())
+    poor = {"place_mm": [7.5, -2.0, 1.0], "min_dihedral": 3.0, "min_scaled_jacobian": 0.05}
+    try:
+        for space, words in (("lps", "L 7.50, A 2.00, S 1.00"), ("ras", "R 7.50, P 2.00, S 1.00")):
+            changed = json.loads(json.dumps(report))
+            changed["parameters"]["space"] = space
+            changed["results"]["volume"]["poor_tetrahedra"] = [poor]
+            (case / "a&b.report.json").write_text(json.dumps(changed))
+            assert program.main([str(case / "a&b.status.json"), "-o", str(case / "f.html"), "--force"]) == 0
+            text = (case / "f.html").read_text().replace("\u00a0", " ")
+            assert words in text
+            assert f"World coordinates are in {space.upper()}, mm." in text
+    finally:
+        (case / "a&b.report.json").write_text(json.dumps(report))

@@ -53,7 +53,7 @@ def test_names_layers_and_errors(tmp_path: Path) -> None:
     with pytest.raises(StageError, match="2 layers of segments"):
         read_label_volume(path)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(StageError, match="is a folder without DICOM files or masks") as refused:
+    with pytest.raises(StageError, match="is a folder without DICOM files, TIFF files or masks") as refused:
         read_volume(tmp_path / "empty")
     assert "contains the slices" in refused.value.next
     ball().save(tmp_path / "ball.vtp")

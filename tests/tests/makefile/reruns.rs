@@ -30,6 +30,8 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     assert_eq!(case.reran(&finer), ["sizefield", "seed", "particles", "reconstruct"]);
     let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&another), ALL);
+    let another = [&another[..], &["SPACE=ras"]].concat();
+    assert_eq!(case.reran(&another), ALL);
     // A missing output is made again, and all later stages run again.
     std::fs::remove_file(case.file("particles.bin")).unwrap();
     case.surface(&another).expect_success("make surface");

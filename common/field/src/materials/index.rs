@@ -7,7 +7,7 @@ use super::strata::half_difference;
 use super::{Indicators, MOST_MATERIALS, Material, MaterialId, Near, far};
 use crate::spline::{Jet, Stencil};
 use glam::DVec3;
-use isoparticles_volume::Geometry;
+use isoparticles_volume::{Geometry, Space};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -111,6 +111,12 @@ impl Materials {
         }
         let (table, indicators) = materials.into_iter().unzip();
         Ok(Self { geometry, table, indicators, start, entries, fill })
+    }
+
+    /// Returns the materials with their grid in another anatomical frame ([`Geometry::in_space`]).
+    #[must_use]
+    pub fn in_space(self, space: Space) -> Self {
+        Self { geometry: self.geometry.in_space(space), ..self }
     }
 
     /// Returns the grid that all indicators share.

@@ -4,8 +4,8 @@
 
 use super::{DataArray, Surface};
 use isoparticles_file::history::History;
+use isoparticles_volume::Voxels;
 use isoparticles_volume::vtk_xml::ascii_json;
-use isoparticles_volume::{Space, Voxels};
 use std::io::{self, Write};
 use vtkio::model::{Attribute, Attributes, ByteOrder, DataSet, IOBuffer, PolyDataPiece, Version, VertexNumbers, Vtk};
 
@@ -17,10 +17,7 @@ const COMMENT_WIDTH: usize = 200;
 /// Returns a line that states which program wrote a surface, and the frame and unit of its
 /// positions.
 fn provenance(surface: &Surface, history: &History) -> String {
-    let frame = match surface.space {
-        Space::Lps => "LPS",
-        Space::Unnamed => "of the input",
-    };
+    let frame = surface.space.name().unwrap_or("of the input");
     format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version)
 }
 

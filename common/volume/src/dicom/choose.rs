@@ -1,48 +1,94 @@
-//! Chooses the series to read from a folder of DICOM images.
+//! Sorts the contents of DICOM files into groups, and chooses the group to read.
 
-use super::slice::{Picture, SeriesName, Slice};
+use super::picture::{Content, Picture, SeriesName};
+use super::slice::{self, Slice};
 use crate::error::bad;
 use crate::error::{Error, Result};
+use dicom_object::Tag;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The images of one series that have the same SOP class. A stack is built from a single group.
-type Group = Vec<Picture>;
+/// From what one volume is made: a segmentation, a structure set, or the slices of one series that
+/// have the same SOP class. If the frames of a series differ along a dimension such as time, each
+/// part of the series is a group.
+pub(super) struct Group {
+    pub(super) class: String,
+    pub(super) series: SeriesName,
+    files: usize,
+    pub(super) content: Result<Content>,
+}
 
-/// Returns the slices of the chosen series, their SOP class, and remarks on the series that were
-/// left out. `wanted` is the UID, number or description of a series. If several groups match,
-/// exactly one of them must form a stack of slices.
-///
-/// # Errors
-/// If no group matches, if several groups match and none or more than one of them forms a stack, or
-/// if an image of the chosen group is not a slice.
-pub(super) fn choose(
-    folder: &Path,
-    pictures: Vec<Picture>,
-    wanted: Option<&str>,
-) -> Result<(Vec<Slice>, String, Vec<String>)> {
-    let mut all: BTreeMap<(String, String), Group> = BTreeMap::new();
+/// Indices along the dimensions that separate the parts of a series.
+type Part = Vec<(Tag, u32)>;
+
+/// Returns the groups of all files, sorted by the UID of the series.
+pub(super) fn groups(pictures: Vec<Picture>) -> Vec<Group> {
+    let mut series: BTreeMap<(String, String), Vec<Picture>> = BTreeMap::new();
     for picture in pictures {
-        all.entry((picture.series.uid.clone(), picture.class.clone())).or_default().push(picture);
+        series.entry((picture.series.uid.clone(), picture.class.clone())).or_default().push(picture);
     }
-    let groups: Vec<Group> = all.into_values().collect();
-    let meant: Vec<usize> = (0..groups.len()).filter(|&n| is_meant(&groups[n][0].series, wanted)).collect();
-    let stacks: Vec<usize> = meant.iter().copied().filter(|&n| is_stack(&groups[n])).collect();
-    let chosen = match (meant.as_slice(), stacks.as_slice()) {
-        ([one], _) | (_, [one]) => *one,
-        (_, []) => return Err(refuse(folder, &groups, wanted, meant.len())),
-        _ => return Err(refuse(folder, &groups, wanted, stacks.len())),
-    };
-    let (mut slices, mut class, mut remarks) = (Vec::new(), String::new(), Vec::new());
-    for (n, group) in groups.into_iter().enumerate() {
-        if n == chosen {
-            class = group[0].class.clone();
-            slices = group.into_iter().map(|picture| picture.slice).collect::<Result<_>>()?;
-        } else {
-            remarks.push(format!("another series in the folder was left out: {}", described(&group)));
+    let mut groups = Vec::new();
+    for pictures in series.into_values() {
+        let (name, class) = (pictures[0].series.clone(), pictures[0].class.clone());
+        let (mut parts, mut problem, mut others): (BTreeMap<Part, Vec<Slice>>, _, _) =
+            (BTreeMap::new(), None, Vec::new());
+        let files = pictures.len();
+        for picture in pictures {
+            match picture.content {
+                Ok(Content::Slices(slices)) => {
+                    slices.into_iter().for_each(|slice| parts.entry(slice.part.clone()).or_default().push(slice));
+                }
+                Ok(other) => others.push(other),
+                Err(error) => problem = problem.or(Some(error)),
+            }
+        }
+        let group =
+            |content: Result<Content>, files| Group { class: class.clone(), series: name.clone(), files, content };
+        groups.extend(others.into_iter().map(|content| group(Ok(content), 1)));
+        if let Some(error) = problem {
+            groups.push(group(Err(error), files));
+            continue;
+        }
+        let count = parts.len();
+        for (n, (part, slices)) in parts.into_iter().enumerate() {
+            let mut group = group(Ok(Content::Slices(slices)), files);
+            if count > 1 {
+                group.series.number = format!("{}.{}", name.number, n + 1);
+                group.series.description = format!("{}, {}", name.description, slice::described(&part));
+            }
+            groups.push(group);
         }
     }
-    Ok((slices, class, remarks))
+    groups
+}
+
+/// Removes the chosen group from `groups` and returns it. `wanted` is the UID, number or
+/// description of a series. If several groups match, exactly one of them must form a stack of
+/// slices or, if none does, be a segmentation or a structure set.
+///
+/// # Errors
+/// If no group matches, or if the choice is ambiguous.
+pub(super) fn choose(path: &Path, groups: &mut Vec<Group>, wanted: Option<&str>) -> Result<Group> {
+    let having = |among: &[usize], holds: &dyn Fn(&Group) -> bool| -> Vec<usize> {
+        among.iter().copied().filter(|&n| holds(&groups[n])).collect()
+    };
+    let all: Vec<usize> = (0..groups.len()).collect();
+    let meant = having(&all, &|group| is_meant(&group.series, wanted));
+    let stacks = having(&meant, &|group| matches!(&group.content, Ok(Content::Slices(slices)) if slices.len() > 1));
+    let labels =
+        having(&meant, &|group| matches!(&group.content, Ok(content) if !matches!(content, Content::Slices(_))));
+    let chosen = match (meant.as_slice(), stacks.as_slice(), labels.as_slice()) {
+        ([one], _, _) | (_, [one], _) | (_, [], [one]) => *one,
+        (_, [], []) => return Err(refuse(path, groups, wanted, meant.len())),
+        (_, [], labels) => return Err(refuse(path, groups, wanted, labels.len())),
+        (_, stacks, _) => return Err(refuse(path, groups, wanted, stacks.len())),
+    };
+    Ok(groups.remove(chosen))
+}
+
+/// Returns remarks on the groups that were left out.
+pub(super) fn left_out(groups: &[Group]) -> impl Iterator<Item = String> {
+    groups.iter().map(|group| format!("another series in the folder was left out: {}", described(group)))
 }
 
 fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
@@ -51,29 +97,29 @@ fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
     })
 }
 
-/// Returns whether the group contains several images, all of which are slices.
-fn is_stack(group: &Group) -> bool {
-    group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
-}
-
-/// Describes a series. If an image is not a slice, the description includes the error for the first
-/// such image.
+/// Describes a group. If no volume can be made from it, the description includes the reason.
 fn described(group: &Group) -> String {
-    let SeriesName { uid, number, description, modality } = &group[0].series;
-    let why = group.iter().find_map(|picture| picture.slice.as_ref().err());
-    let why = why.map_or_else(String::new, |error| format!(": {error}"));
-    format!("'{description}' ({modality}, number {number}, {} files, UID {uid}){why}", group.len())
+    let SeriesName { uid, number, description, modality, .. } = &group.series;
+    let (frames, why) = match &group.content {
+        Ok(Content::Slices(slices)) if slices.len() != group.files => {
+            (format!(", {} frames", slices.len()), String::new())
+        }
+        Ok(_) => (String::new(), String::new()),
+        Err(error) => (String::new(), format!(": {error}")),
+    };
+    let files = if group.files == 1 { "file" } else { "files" };
+    format!("'{description}' ({modality}, number {number}, {} {files}{frames}, UID {uid}){why}", group.files)
 }
 
-fn refuse(folder: &Path, groups: &[Group], wanted: Option<&str>, found: usize) -> Error {
+fn refuse(path: &Path, groups: &[Group], wanted: Option<&str>, found: usize) -> Error {
     if groups.is_empty() {
         return bad(
-            folder,
+            path,
             "has DICOM files, but none with an image",
             "a volume is made from images",
             "use the folder that contains the slices",
         );
     }
     let listed = groups.iter().map(described).collect();
-    Error::Series { path: folder.to_path_buf(), wanted: wanted.map(str::to_owned), matching: found, present: listed }
+    Error::Series { path: path.to_path_buf(), wanted: wanted.map(str::to_owned), matching: found, present: listed }
 }

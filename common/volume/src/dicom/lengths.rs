@@ -3,6 +3,7 @@
 //! lazy reader of dicom-rs, which locates the elements without reading their values.
 
 use super::source::{self, PREAMBLE, START, Source};
+use dicom_dictionary_std::tags;
 use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_object::FileMetaTable;
@@ -12,39 +13,70 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Returns whether all elements can be traversed and none of them extends beyond the end of the
-/// file. Also returns true if the file meta group or the start of the data set cannot be parsed.
+/// The result of traversing a file.
+#[derive(Default)]
+pub(super) struct Walk {
+    /// Whether all elements can be traversed and none of them extends beyond the end of the file.
+    /// Also true if the file meta group or the start of the data set cannot be parsed.
+    pub(super) is_whole: bool,
+    /// UID of the series, if the traversal reaches it. A truncated file usually contains it.
+    pub(super) series: Option<String>,
+}
+
+/// Traverses the elements of a file.
 ///
 /// # Errors
 /// If the file cannot be read.
-pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
+pub(super) fn walk(path: &Path) -> io::Result<Walk> {
     let (mut reader, end) = source::open(path)?;
+    let mut walk = Walk::default();
     if !file_group_lies_within(&mut reader, end)? {
-        return Ok(false);
+        return Ok(walk);
     }
     reader.seek(SeekFrom::Start(PREAMBLE as u64))?;
-    let Ok(group) = FileMetaTable::from_reader(&mut reader) else { return Ok(true) };
-    let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
-    let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
+    walk.is_whole = true;
+    let Ok(group) = FileMetaTable::from_reader(&mut reader) else { return Ok(walk) };
+    let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(walk) };
+    let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(walk) };
+    // number of items that contain the current element
+    let mut depth = 0usize;
     while let Some(token) = elements.advance() {
         // reject the file, because the full reader may accept what the lazy reader cannot parse
-        let Ok(token) = token else { return Ok(false) };
-        let (length, position) = match &token {
-            LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
-            LazyDataToken::LazyItemValue { len, decoder } => (*len, decoder.position()),
-            _ => continue,
-        };
-        if position + u64::from(length) > end {
-            return Ok(false);
-        }
-        if token.skip().is_err() {
-            return Ok(false);
+        let is_read = token.is_ok_and(|token| {
+            let (length, position) = match &token {
+                LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
+                LazyDataToken::LazyItemValue { len, decoder } => (*len, decoder.position()),
+                token => {
+                    match token {
+                        LazyDataToken::ItemStart { .. } => depth += 1,
+                        LazyDataToken::ItemEnd => depth = depth.saturating_sub(1),
+                        _ => {}
+                    }
+                    return true;
+                }
+            };
+            match token {
+                _ if position + u64::from(length) > end => false,
+                LazyDataToken::LazyValue { header, decoder }
+                    if depth == 0 && header.tag == tags::SERIES_INSTANCE_UID =>
+                {
+                    let mut uid = Vec::new();
+                    let is_read = decoder.read_to_vec(length, &mut uid).is_ok();
+                    walk.series = Some(String::from_utf8_lossy(&uid).trim_matches([' ', '\0']).to_owned());
+                    is_read
+                }
+                token => token.skip().is_ok(),
+            }
+        });
+        if !is_read {
+            walk.is_whole = false;
+            break;
         }
     }
-    Ok(true)
+    Ok(walk)
 }
 
-/// Performs the check of [`lie_within`] on the file meta group. This group has the same encoding
+/// Performs the check of [`walk`] on the file meta group. This group has the same encoding
 /// in all files, and its first element contains the length of the group.
 fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
     reader.seek(SeekFrom::Start(START as u64))?;
@@ -78,7 +110,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("slice.dcm");
         std::fs::write(&path, bytes).expect("written");
-        lie_within(&path).expect("read")
+        walk(&path).expect("read").is_whole
     }
 
     /// Returns the bytes of a DICOM file: a file meta group with a transfer syntax, followed by

@@ -8,18 +8,20 @@
 /// 4 bytes each.
 const HEADER_BYTES: usize = 64;
 
-/// Decodes a frame of `pixels` pixels of `width` bytes each. Returns `None` if the data is damaged.
-pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u64>> {
+/// Decodes a frame of `pixels` pixels of `width` bytes each to numbers in native byte order.
+/// Returns `None` if the data is damaged.
+pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u8>> {
     let number = |at: usize| Some(u32::from_le_bytes(frame.get(4 * at..4 * at + 4)?.try_into().ok()?) as usize);
     if number(0)? != width || frame.len() < HEADER_BYTES {
         return None;
     }
-    let mut values = vec![0u64; pixels];
+    let mut values = vec![0; pixels * width];
     for plane in 0..width {
         let start = number(1 + plane)?;
         let end = if plane + 1 < width { number(2 + plane)? } else { frame.len() };
         let bytes = unpack(frame.get(start..end)?, pixels)?;
-        values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = *value << 8 | u64::from(byte));
+        let at = if cfg!(target_endian = "little") { width - 1 - plane } else { plane };
+        values.chunks_exact_mut(width).zip(bytes).for_each(|(value, byte)| value[at] = byte);
     }
     Some(values)
 }

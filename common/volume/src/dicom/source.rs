@@ -61,20 +61,47 @@ fn file_group(syntax: &str) -> Vec<u8> {
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// Opens a file. Returns a reader and the total number of bytes, including those prepended. The
-/// file is loaded into memory only if bytes are prepended.
+/// A file after bytes that it lacks.
+struct Prefixed {
+    prefix: Cursor<Vec<u8>>,
+    file: File,
+}
+
+impl Read for Prefixed {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        // dicom-rs looks for the letters DICM in the bytes of one read
+        let count = self.prefix.read(to)?;
+        Ok(count + self.file.read(&mut to[count..])?)
+    }
+}
+
+impl Seek for Prefixed {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let length = self.prefix.get_ref().len() as u64;
+        let position = match to {
+            SeekFrom::Start(position) => Some(position),
+            SeekFrom::Current(change) => {
+                let position = self.prefix.position() + self.file.stream_position()?;
+                position.checked_add_signed(change)
+            }
+            SeekFrom::End(change) => (length + self.file.metadata()?.len()).checked_add_signed(change),
+        };
+        let position = position.ok_or(io::ErrorKind::InvalidInput)?;
+        self.prefix.set_position(position.min(length));
+        self.file.seek(SeekFrom::Start(position.saturating_sub(length)))?;
+        Ok(position)
+    }
+}
+
+/// Opens a file. Returns a reader and the total number of bytes, including those prepended.
 pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
     let mut file = File::open(path)?;
     let mut start = Vec::new();
     Read::take(&mut file, START as u64).read_to_end(&mut start)?;
     file.seek(SeekFrom::Start(0))?;
-    let mut bytes = missing(&start).unwrap_or_default();
-    let end = bytes.len() as u64 + file.metadata()?.len();
-    let source: Box<dyn Source> = if bytes.is_empty() {
-        Box::new(file)
-    } else {
-        file.read_to_end(&mut bytes)?;
-        Box::new(Cursor::new(bytes))
-    };
+    let prefix = missing(&start).unwrap_or_default();
+    let end = prefix.len() as u64 + file.metadata()?.len();
+    let source: Box<dyn Source> =
+        if prefix.is_empty() { Box::new(file) } else { Box::new(Prefixed { prefix: Cursor::new(prefix), file }) };
     Ok((BufReader::new(source), end))
 }

@@ -1,23 +1,28 @@
 //! Sorts slices and computes the grid that they form. Fails if they do not form a regular grid.
+//! Reads their values.
 
-use super::slice::{DIRECTION_TOLERANCE, Pixels, Slice};
+use super::pixels::{PixelData, Pixels};
+use super::slice::{DIRECTION_TOLERANCE, Slice};
 use crate::error::Result;
 use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
-use crate::voxels::ScalarType;
+use crate::voxels::{ScalarType, Voxels};
 use glam::DVec3;
+use isoparticles_file::limit::check_memory;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Maximum distance from a slice to its position in an evenly spaced stack, in units of the slice
 /// distance. The limit detects a missing inner slice: if N slices remain, the maximum distance is
 /// 1/3 for N = 3, and at least `(N - 2) / (2 N)`, which is 0.25 or more, for N >= 4.
-const LARGEST_SHIFT: f64 = 0.1;
+pub(super) const LARGEST_SHIFT: f64 = 0.1;
 
 /// Tolerance for rounded positions, in units of the slice distance. If slices are 1 mm apart,
 /// rounding to 0.01 mm moves a slice by up to 0.005. Deviations from even spacing above this
 /// tolerance are reported. Slices closer together than this tolerance count as duplicates.
-const ROUNDING: f64 = 0.01;
+pub(super) const ROUNDING: f64 = 0.01;
 
 /// The slices of a volume in spatial order, and the grid that they form.
 pub(super) struct Stack {
@@ -42,10 +47,10 @@ impl Stack {
                 folder,
                 format!("contains a flat image of {} x {} pixels in {} slices", size[0], size[1], size[2]),
                 "a volume must have at least two voxels along each axis",
-                "use the folder of the whole series",
+                "use the folder or file of the whole series",
             ));
         }
-        let normal = first.along_row.cross(first.along_column).normalize_or_zero();
+        let normal = first.normal();
         slices.sort_by(|a, b| a.position.dot(normal).total_cmp(&b.position.dot(normal)));
         let places: Vec<f64> = slices.iter().map(|slice| slice.position.dot(normal)).collect();
         check_doubles(&slices, &places)?;
@@ -58,7 +63,11 @@ impl Stack {
             check_gaps(&slices, &places)?;
             return Err(bad(
                 &slices[farthest].path,
-                format!("is {:.3} mm away from its regular position in the stack", shift * step.length()),
+                format!(
+                    "{}is {:.3} mm away from its regular position in the stack",
+                    of_frame(&slices[farthest]),
+                    shift * step.length()
+                ),
                 "the voxels of a volume must lie on one regular grid",
                 "resample the series, for example in 3D Slicer, which can read irregular stacks",
             ));
@@ -68,9 +77,47 @@ impl Stack {
         Ok(Self { slices, geometry, shift })
     }
 
-    /// Returns a number type that can represent the values of all slices.
-    pub(super) fn scalar_type(&self) -> ScalarType {
-        Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
+    /// Reads the values of all slices, in a number type that can represent them.
+    pub(super) fn voxels(&self, path: &Path) -> Result<Voxels> {
+        let scalar = Pixels::common_type(self.slices.iter().map(|slice| slice.pixels));
+        check_memory(path, (self.geometry.voxel_count() as u64).saturating_mul(scalar.bytes() as u64))?;
+        Ok(match scalar {
+            ScalarType::U8 => Voxels::U8(self.values(|value| value as u8)?),
+            ScalarType::I16 => Voxels::I16(self.values(|value| value as i16)?),
+            ScalarType::U16 => Voxels::U16(self.values(|value| value as u16)?),
+            ScalarType::I32 => Voxels::I32(self.values(|value| value as i32)?),
+            ScalarType::F32 => Voxels::F32(self.values(|value| value as f32)?),
+            _ => Voxels::F64(self.values(|value| value)?),
+        })
+    }
+
+    /// Reads the values of all slices. `rounded` converts a value to the number type.
+    fn values<T: Clone + Default + Send>(&self, rounded: impl Fn(f64) -> T + Sync) -> Result<Vec<T>> {
+        let [columns, rows, _] = self.geometry.size;
+        let mut values = vec![T::default(); self.geometry.voxel_count()];
+        let mut files: BTreeMap<&Path, Vec<(&Slice, &mut [T])>> = BTreeMap::new();
+        for (slice, values) in self.slices.iter().zip(values.chunks_mut(columns * rows)) {
+            files.entry(&slice.path).or_default().push((slice, values));
+        }
+        let files: Vec<_> = files.into_iter().collect();
+        // with many files, threads share the files, and otherwise the frames of each file
+        let read: Vec<Result<()>> = files
+            .into_par_iter()
+            .map(|(path, slices)| {
+                let data = PixelData::read(path, columns)?;
+                let frames: Vec<Result<()>> = slices
+                    .into_par_iter()
+                    .map(|(slice, values)| {
+                        let stored = data.frame(slice.frame, &slice.pixels)?;
+                        slice.pixels.convert(&stored, values, &rounded);
+                        Ok(())
+                    })
+                    .collect();
+                frames.into_iter().collect()
+            })
+            .collect();
+        read.into_iter().collect::<Result<()>>()?;
+        Ok(values)
     }
 
     /// Returns remarks on uneven slice spacing and on the conversion of stored numbers to values.
@@ -95,7 +142,7 @@ impl Stack {
 }
 
 /// Fails unless all slices have the same size, pixel spacing and orientation.
-fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
+pub(super) fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     let differs = |a: DVec3, b: DVec3| (a - b).length() > DIRECTION_TOLERANCE * a.length();
     for slice in slices {
         let what = match () {
@@ -109,7 +156,7 @@ fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
         };
         return Err(bad(
             &slice.path,
-            what,
+            format!("{}{what}", of_frame(slice)),
             "the voxels of a volume must lie on one regular grid",
             "move localizers and single views of the series to another folder",
         ));
@@ -117,9 +164,16 @@ fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     Ok(())
 }
 
-/// Returns the file name of slice `n`.
+/// Returns the start of a sentence about a slice: its frame in a multi-frame file.
+fn of_frame(slice: &Slice) -> String {
+    if slice.frame == 0 { String::new() } else { format!("frame {} ", slice.frame + 1) }
+}
+
+/// Returns the file name of slice `n`, and its frame in a multi-frame file.
 fn name(slices: &[Slice], n: usize) -> String {
-    slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    let name = slices[n].path.file_name().unwrap_or_default().to_string_lossy();
+    let is_alone = slices.iter().all(|slice| slice.frame == 0);
+    if is_alone { name.into_owned() } else { format!("frame {} of {name}", slices[n].frame + 1) }
 }
 
 /// Fails if two slices have the same position.
@@ -128,7 +182,12 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= ROUNDING * mean) {
         return Err(bad(
             &slices[n + 1].path,
-            format!("is at the same position as {}, {:.3} mm along the normal", name(slices, n), places[n]),
+            format!(
+                "{}is at the same position as {}, {:.3} mm along the normal",
+                of_frame(&slices[n + 1]),
+                name(slices, n),
+                places[n]
+            ),
             "the series contains several volumes (points in time, echoes), or a slice twice",
             "put the slices of one volume into a separate folder",
         ));

@@ -5,6 +5,7 @@ use super::*;
 use crate::error::Error;
 use crate::geometry::Space;
 use crate::read::{ReadOptions, read_volume, read_volume_with};
+use crate::voxels::Voxels;
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject, Tag};

@@ -117,7 +117,7 @@ fn folders_that_are_not_masks_are_refused() {
         (&[("a.nrrd", &lps, Voxels::F32(vec![-0.5; 27]))], None, "values from -0.5 to -0.5"),
         (&[("a.nrrd", &lps, one()), ("a.seg.nrrd", &lps, one())], None, "contains two masks of 'a'"),
         (&[("a.nrrd", &lps, one())], Some("3"), "has no series, and '3' was requested"),
-        (&[], None, "is a folder without DICOM files or masks"),
+        (&[], None, "is a folder without DICOM files, TIFF files or masks"),
     ] {
         let error = refused(masks, series);
         assert!(error.contains(told), "{error}");

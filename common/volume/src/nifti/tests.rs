@@ -1,6 +1,7 @@
-//! Tests NIfTI files with incomplete headers or separate voxel files.
+//! Tests files with incomplete headers or separate voxel files.
 
 use crate::data_files::data_files;
+use crate::geometry::Space;
 use crate::read::read_volume;
 use crate::volume::Volume;
 use crate::voxels::Voxels;
@@ -81,8 +82,43 @@ fn a_pair_is_read_by_either_of_its_names() {
     assert_eq!(read_volume(&head).expect("by its header"), volume);
     assert_eq!(data_files(&head).expect("files"), std::slice::from_ref(&body));
     assert_eq!(data_files(&body).expect("files"), std::slice::from_ref(&head));
-    // Analyze 7.5 headers have no magic number
-    std::fs::write(&head, header(0.0, 1, 0, &[0; 4])).expect("written");
-    let error = read_volume(&body).expect_err("Analyze");
-    assert!(error.to_string().contains("Analyze 7.5") && !error.remedy().is_empty(), "{error}");
+}
+
+#[test]
+fn headers_without_a_magic_number_are_analyze() {
+    let folder = tempfile::tempdir().expect("folder");
+    let [head, body] = ["p.hdr", "p.img"].map(|name| folder.path().join(name));
+    std::fs::write(&head, header(0.0, 1, 1, &[0; 4])).expect("written");
+    let volume = read(&body, &VALUES);
+    assert_eq!((volume.voxels, volume.geometry.space), (Voxels::U8(VALUES.to_vec()), Space::Unnamed));
+    // x runs to the left, y to anterior, and the origin is the centre
+    let at = |x: f64, y: f64, z: f64| volume.geometry.grid_to_world(DVec3::new(x, y, z));
+    assert_eq!([at(1.0, 1.0, 1.0), at(3.0, 2.0, 1.0)], [DVec3::ZERO, DVec3::new(2.0, -1.0, 0.0)]);
+    assert!(volume.remarks.len() == 1 && volume.remarks[0].contains("left"), "{:?}", volume.remarks);
+}
+
+#[test]
+fn damaged_headers_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("v.nii");
+    let whole = header(352.0, 1, 0, b"n+1\0");
+    let with = |at: usize, bytes: &[u8]| {
+        let mut header = whole.clone();
+        header[at..at + bytes.len()].copy_from_slice(bytes);
+        header
+    };
+    let two = [&540_i32.to_le_bytes()[..], &[0; 536]].concat();
+    for (header, word) in [
+        (whole[..300].to_vec(), "no complete NIfTI header"),
+        (two, "magic number of NIfTI-2"),
+        (with(40, &[8, 0]), "dimension 8"),
+        (with(42, &[0xff, 0xff]), "[-1, 2, 2]"),
+        (with(42, &[0, 0]), "a size is zero"),
+        (with(108, &2e9_f32.to_le_bytes()), "vox_offset"),
+        (with(108, &f32::NAN.to_le_bytes()), "vox_offset"),
+    ] {
+        std::fs::write(&path, [&header[..], &[0; 4], &VALUES].concat()).expect("written");
+        let error = read_volume(&path).expect_err(word);
+        assert!(error.to_string().contains(word) && !error.remedy().is_empty(), "'{word}' is not in '{error}'");
+    }
 }

@@ -22,7 +22,7 @@ pub(super) struct Grid {
 /// Computes the grid that a header describes. Only a segmentation may have a layer axis.
 pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
     let kinds = header.words(path, "kinds")?;
-    let (space, to_lps, has_time) = world(path, header)?;
+    let (space, signs, has_time) = world(path, header)?;
     let vectors = header.field("space directions").map(|text| vectors(path, header, text)).transpose()?;
     let (axes, layer_axis) =
         spatial_axes(path, header, is_segmentation, (kinds.as_deref(), vectors.as_deref(), has_time))?;
@@ -37,7 +37,7 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
         ));
     }
     let mut remarks = Vec::new();
-    let to_lps = to_lps * unit_lengths(path, header, axes, vectors.is_some(), &mut remarks)?;
+    let scale = signs * unit_lengths(path, header, axes, vectors.is_some(), &mut remarks)?;
     if let Some(vectors) = vectors {
         let origin = match header.field("space origin") {
             Some(text) => vector(text).and_then(|v| v).ok_or_else(|| field_error(path, "space origin", text))?,
@@ -45,16 +45,16 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
         };
         let step = |axis: usize| {
             vectors[axis]
-                .map(|vector| vector * to_lps)
+                .map(|vector| vector * scale)
                 .ok_or_else(|| field_error(path, "space directions", header.field("space directions").unwrap_or("")))
         };
         let steps = [step(axes[0])?, step(axes[1])?, step(axes[2])?];
-        let geometry = geometry_from_steps(path, size, steps, origin * to_lps, space)?;
+        let geometry = geometry_from_steps(path, size, steps, origin * scale, space)?;
         return Ok(Grid { geometry, remarks, layer_axis });
     }
     let (spacing, origin) = plain_spacing(path, header, axes, &mut remarks)?;
     let steps = [DVec3::X * spacing.x, DVec3::Y * spacing.y, DVec3::Z * spacing.z];
-    let geometry = geometry_from_steps(path, size, steps.map(|step| step * to_lps), origin * to_lps, space)?;
+    let geometry = geometry_from_steps(path, size, steps.map(|step| step * scale), origin * scale, space)?;
     Ok(Grid { geometry, remarks, layer_axis })
 }
 
@@ -120,7 +120,7 @@ fn quoted_words(text: &str) -> Vec<&str> {
     words
 }
 
-/// Returns the space of a header, the signs that convert its coordinates to LPS, and whether its
+/// Returns the space of a header, the signs that convert its coordinates to it, and whether its
 /// vectors have a fourth component, time.
 fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
     if let Some(text) = header.field("space dimension") {
@@ -140,9 +140,9 @@ fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
         ("left-posterior-superior", _) => (Space::Lps, DVec3::ONE, has_time),
         ("lps", _) => (Space::Lps, DVec3::ONE, false),
         ("lpst", _) => (Space::Lps, DVec3::ONE, true),
-        ("right-anterior-superior", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), has_time),
-        ("ras", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), false),
-        ("rast", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), true),
+        ("right-anterior-superior", _) => (Space::Ras, DVec3::ONE, has_time),
+        ("ras", _) => (Space::Ras, DVec3::ONE, false),
+        ("rast", _) => (Space::Ras, DVec3::ONE, true),
         ("left-anterior-superior", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), has_time),
         ("las", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), false),
         ("last", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), true),
@@ -305,7 +305,7 @@ mod tests {
             "units: \"m\" \"m\" \"m\"\nspace units: \"um\" \"um\" \"um\"",
         ] {
             let (spacing, origin, remarks) = read(&format!("{VECTORS}{units}\n")).expect(units);
-            assert!(near(spacing, [2.0, 2.0, 3.0]) && near(origin, [-1.0, 0.0, 0.5]), "{units}: {spacing} {origin}");
+            assert!(near(spacing, [2.0, 2.0, 3.0]) && near(origin, [1.0, 0.0, 0.5]), "{units}: {spacing} {origin}");
             assert!(remarks.is_empty(), "{remarks:?}");
         }
         let plain = "spacings: 0.001 0.001 2\naxis mins: 0.01 0 0\n";

@@ -44,10 +44,12 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let copies = if layers > 1 { 2 } else { 1 };
     check_memory(path, (count as u64).saturating_mul(copies * header.layout.scalar.bytes() as u64))?;
     let all = read_voxels(path, &header.layout, count, reader, &mut remarks)?;
-    let Some(axis) = layer_axis else { return Ok(Volume { remarks, segments, ..Volume::new(geometry, all) }) };
+    let Some(axis) = layer_axis else {
+        return Ok(Volume { remarks, segments, ..Volume::new(geometry, all) }.in_lps());
+    };
     let mut more_layers = all.part(header.sizes[..axis].iter().product(), layers);
     let first = more_layers.remove(0);
-    Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
+    Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) }.in_lps())
 }
 
 /// Returns the data files that the header specifies.

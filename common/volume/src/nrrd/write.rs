@@ -44,6 +44,7 @@ fn header(geometry: &Geometry, voxels: &Voxels, encoding: Encoding) -> String {
     };
     let space = match geometry.space {
         Space::Lps => "space: left-posterior-superior",
+        Space::Ras => "space: right-anterior-superior",
         Space::Unnamed => "space dimension: 3",
     };
     let encoding = match encoding {

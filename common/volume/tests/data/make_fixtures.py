@@ -1,14 +1,16 @@
 """Write the fixtures of the format tests and the values and positions that other programs read.
 
-    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
+    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista tifffile imagecodecs scikit-image
     UNU=/usr/bin/teem-unu python make_fixtures.py [NAME ...]
 
-NAME is nrrd, nifti, vti, meta, segmentation, dicom or edited; the default is all of them.
+NAME is nrrd, nifti, analyze, mgh, npy, tiff, vti, meta, segmentation, dicom or edited; the default
+is all of them.
 
 Every file contains 3 x 4 x 2 voxels whose values encode their index. For each file,
-`expected.json` contains what another program (SimpleITK, nibabel, VTK or Teem's unu) reads: the
+`expected.json` contains what another program (SimpleITK, nibabel, tifffile, VTK or unu) reads: the
 type, the values, and the world positions of the first voxel and of the last voxel along each axis
-(in LPS if the file specifies an anatomical space). Files that must be refused are listed with an
+(in LPS if the file specifies an anatomical space). `spacing` is what the test gives for files
+without a spacing. Files that must be refused are listed with an
 expected part of the error message.
 """
 
@@ -26,7 +28,10 @@ import numpy as np
 import pydicom
 import pyvista
 import SimpleITK as sitk
+import skimage.io
+import tifffile
 import vtk
+from PIL import Image
 
 HERE = Path(__file__).parent
 STAGE = HERE.parents[2] / "stage" / "tests" / "data"
@@ -237,14 +242,193 @@ def make_nifti():
     image = nibabel.Nifti1Image(np.zeros((3, 4, 2, 5), "int16"), affine)
     nibabel.save(image, str(folder / "time.nii.gz"))
     expected["refused"]["nifti/time.nii.gz"] = "5 samples along axis 3"
-    nibabel.save(nibabel.Nifti2Image(voxels("int16"), affine), str(folder / "nifti2.nii"))
-    expected["refused"]["nifti/nifti2.nii"] = "NIfTI-2"
+    for file, kind in [("nifti2.nii", nibabel.Nifti2Image), ("nifti2_pair.hdr", nibabel.Nifti2Pair)]:
+        nibabel.save(kind(voxels("int16"), affine), str(folder / file))
+        by_nibabel(f"nifti/{file}", voxels("int16"))
+    two = nibabel.Nifti2Image(voxels("float64"), left, nibabel.Nifti2Header(endianness=">"), dtype="float64")
+    two.set_qform(left, code=1)
+    two.set_sform(None, code=0)
+    nibabel.save(two, str(folder / "nifti2_big.nii.gz"))
+    by_nibabel("nifti/nifti2_big.nii.gz", voxels("float64"))
     rgb = np.zeros(SIZE, dtype=[("R", "u1"), ("G", "u1"), ("B", "u1")])
     nibabel.save(nibabel.Nifti1Image(rgb, affine), str(folder / "colour.nii"))
     expected["refused"]["nifti/colour.nii"] = "colours"
     whole = (folder / "sform.nii").read_bytes()
     (folder / "short.nii").write_bytes(whole[:-1])
     expected["refused"]["nifti/short.nii"] = "ends after"
+
+
+def by_nibabel(file, values):
+    """Record what nibabel reads from a file, in LPS."""
+    image = nibabel.load(str(HERE / file))
+    assert np.allclose(np.asarray(image.dataobj), values), file
+    positions = [(image.affine @ np.array([*c, 1]))[:3] * [-1, -1, 1] for c in CORNERS]
+    expect(file, values, positions, "nibabel")
+
+
+def make_analyze():
+    folder = HERE / "analyze"
+    folder.mkdir(exist_ok=True)
+    affine = np.diag([-0.5, 1.25, 3.0, 1.0])
+    for file, kind, name in [("plain", nibabel.AnalyzeImage, "int16"), ("spm", nibabel.Spm99AnalyzeImage, "float32")]:
+        nibabel.save(kind(voxels(name), affine), str(folder / f"{file}.img"))
+        (folder / f"{file}.mat").unlink(missing_ok=True)
+    # SPM counts voxels from 1
+    header = bytearray((folder / "spm.hdr").read_bytes())
+    header[253:259] = struct.pack("<hhh", 3, 1, 2)
+    (folder / "spm.hdr").write_bytes(header)
+    by_nibabel("analyze/plain.hdr", voxels("int16"))
+    by_nibabel("analyze/spm.img", voxels("float32"))
+    # ITK reads the same values and spacing, but assumes that y runs from anterior to posterior
+    image = sitk.ReadImage(str(folder / "plain.hdr"))
+    assert image.GetSpacing() == (0.5, 1.25, 3.0)
+    assert np.array_equal(sitk.GetArrayFromImage(image).transpose(2, 1, 0), voxels("int16"))
+
+
+def make_mgh():
+    folder = HERE / "mgh"
+    folder.mkdir(exist_ok=True)
+    affine = np.eye(4)
+    affine[:3, :3] = OBLIQUE.T
+    affine[:3, 3] = [10.5, -20.25, 30.0]
+    for name in ["uint8", "int16", "int32", "float32"]:
+        file = f"mgh/type_{name}.{'mgz' if name in ('int16', 'float32') else 'mgh'}"
+        nibabel.save(nibabel.MGHImage(voxels(name), affine), str(HERE / file))
+        by_nibabel(file, voxels(name))
+    nibabel.save(nibabel.MGHImage(np.zeros((3, 4, 2, 5), "float32"), affine), str(folder / "frames.mgz"))
+    expected["refused"]["mgh/frames.mgz"] = "5 frames"
+    (folder / "short.mgh").write_bytes((folder / "type_int32.mgh").read_bytes()[:300])
+    expected["refused"]["mgh/short.mgh"] = "ends after 4 of 24 values"
+
+
+def with_spacing(file, array, teller, spacing=(0.5, 1.25, 3.0), is_given=True):
+    """Record an array that another program reads, with a spacing along its axes x, y, z in mm."""
+    expect(file, array, affine_positions(np.diag(spacing), [0, 0, 0]), teller)
+    if is_given:
+        expected["volumes"][file]["spacing"] = list(spacing)
+
+
+def make_npy():
+    folder = HERE / "npy"
+    folder.mkdir(exist_ok=True)
+    for number, name in enumerate(NAMES):
+        file = f"npy/type_{name}.npy"
+        order = "FC"[number % 2]
+        np.save(HERE / file, np.array(voxels(name), order=order))
+        loaded = np.load(HERE / file)
+        assert np.array_equal(loaded, voxels(name)) and loaded.flags[f"{order}_CONTIGUOUS"]
+        with_spacing(file, loaded, "NumPy")
+    np.save(folder / "big_endian.npy", voxels("int16").astype(">i2"))
+    with_spacing("npy/big_endian.npy", np.load(folder / "big_endian.npy").astype("int16"), "NumPy")
+    np.save(folder / "bool.npy", voxels("int16") > 2000)
+    with_spacing("npy/bool.npy", np.load(folder / "bool.npy").astype("uint8"), "NumPy")
+    with (folder / "version_2.npy").open("wb") as file:
+        np.lib.format.write_array(file, voxels("uint8"), version=(2, 0))
+    with_spacing("npy/version_2.npy", np.load(folder / "version_2.npy"), "NumPy")
+    for file, array, word in [("complex", voxels("int16") * 1j, "<c16"), ("flat", voxels("int16")[0], "shape [4, 2]"),
+                              ("half", voxels("int8").astype("float16"), "<f2"), ("spacing", voxels("int8"), "spacing")]:
+        np.save(folder / f"no_{file}.npy", array)
+        expected["refused"][f"npy/no_{file}.npy"] = word
+
+
+def make_tiff():
+    """Write stacks with tifffile, Pillow, scikit-image and ITK, all from arrays [z, y, x]."""
+    folder = HERE / "tiff"
+    folder.mkdir(exist_ok=True)
+
+    def by_tifffile(file, **options):
+        pages = tifffile.TiffFile(HERE / file).pages
+        array = np.array([page.asarray() for page in pages]).transpose(2, 1, 0)
+        array = array.astype("uint8") if array.dtype == bool else array
+        with_spacing(file, array, "tifffile", **options)
+        return array
+
+    def write(file, array, given=True, spacing=(0.5, 1.25, 3.0), **options):
+        options = {"photometric": "minisblack", **options}
+        tifffile.imwrite(folder / file, array.transpose(2, 1, 0), **options)
+        assert np.array_equal(by_tifffile(f"tiff/{file}", spacing=spacing, is_given=given), array), file
+
+    for name in NAMES:
+        write(f"type_{name}.tif", voxels(name), rowsperstrip=3)
+    write("big_endian.tif", voxels("uint16"), byteorder=">")
+    write("bigtiff.tif", voxels("int32"), bigtiff=True)
+    write("bigtiff_big_endian.tif", voxels("float64"), bigtiff=True, byteorder=">", compression="zlib", predictor=3)
+    for method in ["lzw", "zlib", "packbits"]:
+        write(f"{method}.tif", voxels("uint8"), compression=method, rowsperstrip=2)
+    for name in ["uint8", "int16", "uint32", "int64"]:
+        write(f"differences_{name}.tif", voxels(name), compression="lzw", predictor=2)
+    write("differences_big_endian.tif", voxels("uint16"), compression="zlib", predictor=2, byteorder=">")
+    for name in ["float32", "float64"]:
+        write(f"differences_{name}.tif", voxels(name), compression="zlib", predictor=3)
+    write("tiles.tif", voxels("uint16"), tile=(16, 16), compression="zlib", predictor=2)
+    write("tiles_float32.tif", voxels("float32"), tile=(16, 16), compression="lzw", predictor=3)
+    write("white_is_zero.tif", voxels("uint8"), photometric="miniswhite")
+    write("palette.tif", voxels("uint8"), photometric="palette", colormap=np.zeros((3, 256), "uint16"))
+    bits = (voxels("uint8") > 210).astype("uint8")
+    tifffile.imwrite(folder / "bits.tif", bits.transpose(2, 1, 0) == 1, photometric="minisblack")
+    assert np.array_equal(by_tifffile("tiff/bits.tif"), bits)
+
+    imagej = {"imagej": True, "resolution": (2, 0.8), "given": False}
+    write("imagej.tif", voxels("uint16"), **imagej, metadata={"axes": "ZYX", "spacing": 3.0, "unit": "mm"})
+    micro = {"axes": "ZYX", "spacing": 3.0, "unit": "\\u00B5m"}
+    write("imagej_micro.tif", voxels("float32"), **imagej, spacing=(5e-4, 1.25e-3, 3e-3), metadata=micro)
+    write("imagej_no_z.tif", voxels("uint8"), **imagej, spacing=(5e-4, 1.25e-3, 1e-3),
+          metadata={"axes": "ZYX", "unit": "micron"})
+    # a stack above 4 GB has one page, which is followed by the pixels of the others
+    tifffile.imwrite(folder / "imagej_one_page.tif", voxels("uint16").transpose(2, 1, 0), photometric="minisblack",
+                     imagej=True, truncate=True, resolution=(2, 0.8),
+                     metadata={"axes": "ZYX", "spacing": 3.0, "unit": "mm"})
+    series = tifffile.imread(folder / "imagej_one_page.tif").transpose(2, 1, 0)
+    assert np.array_equal(series, voxels("uint16")) and len(tifffile.TiffFile(folder / "imagej_one_page.tif").pages) == 1
+    with_spacing("tiff/imagej_one_page.tif", series, "tifffile", is_given=False)
+    size = {f"PhysicalSize{axis}": length for axis, length in zip("XYZ", [0.5, 1.25, 3.0])}
+    write("ome.ome.tif", voxels("uint8"), given=False, spacing=(5e-4, 1.25e-3, 3e-3), metadata={"axes": "ZYX", **size})
+    units = {f"PhysicalSize{axis}Unit": "mm" for axis in "XYZ"}
+    write("ome_mm.ome.tif", voxels("uint16"), given=False, metadata={"axes": "ZYX", **size, **units})
+    write("resolution.tif", voxels("uint8"), resolution=(20, 8), resolutionunit="CENTIMETER")
+
+    slices = [Image.fromarray(plane) for plane in voxels("uint8").transpose(2, 1, 0)]
+    slices[0].save(folder / "pillow.tif", save_all=True, append_images=slices[1:], compression="tiff_lzw", dpi=(72, 72))
+    assert np.array_equal(by_tifffile("tiff/pillow.tif"), voxels("uint8"))
+    skimage.io.imsave(folder / "skimage.tif", voxels("float32").transpose(2, 1, 0), check_contrast=False,
+                      photometric="minisblack")
+    assert np.array_equal(by_tifffile("tiff/skimage.tif"), voxels("float32"))
+    sitk.WriteImage(sitk.GetImageFromArray(voxels("int16").transpose(2, 1, 0)), str(folder / "itk.tif"), True)
+    assert np.array_equal(by_tifffile("tiff/itk.tif"), voxels("int16"))
+    natural = HERE / "tiff_slices"
+    natural.mkdir(exist_ok=True)
+    for number, plane in zip([2, 10], voxels("uint16").transpose(2, 1, 0)):
+        tifffile.imwrite(natural / f"slice{number}.tif", plane, byteorder="<>"[number == 10])
+    with_spacing("tiff_slices", voxels("uint16"), "tifffile")
+    refuse_tiffs(folder)
+
+
+def refuse_tiffs(folder):
+    """Write TIFF files that are not volumes."""
+    planes = voxels("uint16").transpose(2, 1, 0)
+
+    def refused(file, word, array=planes, **options):
+        tifffile.imwrite(folder / file, array, **{"photometric": "minisblack", **options})
+        expected["refused"][f"tiff/{file}"] = word
+
+    refused("no_colour.tif", "3 values per pixel", np.zeros((2, 4, 5, 3), "uint8"), photometric="rgb")
+    refused("no_channels.tif", "2 channels", np.stack([planes] * 2, axis=1), imagej=True, metadata={"axes": "ZCYX"})
+    refused("no_time.tif", "3 frames", np.stack([planes] * 3), imagej=True, metadata={"axes": "TZYX"})
+    refused("no_ome_time.ome.tif", "3 time points", np.stack([planes] * 3), metadata={"axes": "TZYX"})
+    refused("no_volumes.tif", "2 volumes", np.stack([planes] * 2))
+    refused("no_pages.tif", "flat image of 3 x 4 pixels", planes[0])
+    refused("no_half.tif", "floating-point numbers of 16 bits", planes.astype("float16"))
+    refused("no_zstd.tif", "compressed with zstd", compression="zstd")
+    refused("no_spacing.tif", "spacing")
+    refused("no_z.tif", "0.5 x 1.25 mm), not along z", resolution=(20, 8), resolutionunit="CENTIMETER")
+    whole = (folder / "lzw.tif").read_bytes()
+    (folder / "no_end.tif").write_bytes(whole[:-20])
+    expected["refused"]["tiff/no_end.tif"] = "damaged TIFF file"
+    mixed = HERE / "tiff_mixed"
+    mixed.mkdir(exist_ok=True)
+    tifffile.imwrite(mixed / "a.tif", planes[0])
+    tifffile.imwrite(mixed / "preview.tif", planes[0][:2])
+    expected["refused"]["tiff_mixed"] = "3 x 2 pixels"
 
 
 def make_vti():
@@ -447,16 +631,23 @@ def make_edited():
     assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
 
 
-MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "analyze": make_analyze, "mgh": make_mgh, "npy": make_npy,
+          "tiff": make_tiff, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
           "dicom": make_dicom, "edited": make_edited}
 wanted = sys.argv[1:] or list(MAKERS)
+order = []
 if sys.argv[1:]:
     expected = json.loads((HERE / "expected.json").read_text())
+    order = [file for told in expected.values() for file in told]
     for told in expected.values():
         for file in [file for file in told if file.split("/")[0] in wanted]:
             del told[file]
 for name in wanted:
     MAKERS[name]()
+for kind, told in expected.items():
+    # files that were there before keep their places
+    files = sorted(told, key=lambda file: order.index(file) if file in order else len(order))
+    expected[kind] = {file: told[file] for file in files}
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
 print(len(expected["volumes"]), "volumes,", len(expected["refused"]), "to be refused,",
       sum(f.stat().st_size for f in HERE.rglob("*") if f.is_file()), "bytes in all")

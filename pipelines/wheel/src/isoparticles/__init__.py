@@ -3,7 +3,7 @@
 :func:`mesh` goes from an image to a surface. The stages :func:`distance_field`, :func:`size_field`,
 :func:`seed`, :func:`settle` and :func:`reconstruct` do the same step by step, and :func:`fill`
 makes tetrahedra. Lengths are in mm. The options are those of the programs, with underscores. For an
-image in a file, a saved result equals the file that the program writes, byte for byte.
+image in a file that the programs read, a saved result equals theirs, byte for byte.
 
 The command ``isoparticles``, which runs all stages from a volume to tetrahedra, is in
 ``isoparticles.command``.

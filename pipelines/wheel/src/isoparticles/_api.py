@@ -35,6 +35,7 @@ def distance_field(
     spacing: ArrayLike | None = None,
     origin: ArrayLike | None = None,
     direction: ArrayLike | None = None,
+    dataset: str | None = None,
     name: str = ENDINGS["distfield"],
     progress: Progress = None,
     **options: Unpack[DistfieldOptions],
@@ -46,14 +47,18 @@ def distance_field(
     image
         The path of a volume or of a folder of DICOM slices or masks; an array with the axes x, y
         and z; an image of SimpleITK, nibabel or PyVista; or a mapping from names to masks, each one
-        of these.
+        of these. HDF5, MATLAB and Zarr files need the extra ``formats``.
     spacing
         The distances between voxel centres along x, y and z, in mm. Only for arrays (default: 1)
         and for files that do not contain it.
     origin
-        The world position of the centre of the first voxel, in mm. Only for arrays. Default: 0.
+        The world position of the centre of the first voxel, in mm. As for ``spacing``. Default: 0.
     direction
-        A 3 x 3 matrix whose columns are the unit vectors of the axes. Only for arrays.
+        A 3 x 3 matrix whose columns are the unit vectors of the axes. As for ``spacing``.
+    dataset
+        The array of an HDF5, MATLAB or Zarr file: a path in the file, the name of a variable, or a
+        level of an OME-Zarr image. ``0:c=1`` selects channel 1 of level 0. Default: the only
+        volume, or the first level.
     name
         The file name of the result in the histories of later results.
     progress
@@ -80,7 +85,7 @@ def distance_field(
     >>> iso.distance_field(halves, materials={"left": 1, "right": [2]}).materials
     ['outside', 'left', 'right']
     """
-    given = source(image, spacing, origin, direction)
+    given = source(image, spacing, origin, direction, dataset)
     words = words_of("distfield", options)
     _expect_object(options)
     return _distance_field(given, name, words, progress)
@@ -88,7 +93,7 @@ def distance_field(
 
 def _distance_field(given: Source, name: str, words: list[str], progress: Progress) -> DistanceField:
     # a path that is equal to the name of the result would count as the result in the history
-    is_unclear = given.volume is None and (given.word == name or given.word.startswith("-"))
+    is_unclear = given.is_file and (given.word == name or given.word.startswith("-"))
     word = f"./{given.word}" if is_unclear else given.word
     if given.volume is not None and "--series" in words:
         raise TypeError("series: only for a folder of DICOM files")
@@ -253,6 +258,7 @@ def mesh(
     spacing: ArrayLike | None = None,
     origin: ArrayLike | None = None,
     direction: ArrayLike | None = None,
+    dataset: str | None = None,
     name: str | None = None,
     progress: Progress = None,
     **settings: Unpack[MeshSettings],
@@ -261,7 +267,7 @@ def mesh(
 
     Parameters
     ----------
-    image, spacing, origin, direction, progress
+    image, spacing, origin, direction, dataset, progress
         As for :func:`distance_field`.
     name
         The name of the results in histories and in :meth:`Mesh.save`. Default: the name of the
@@ -281,11 +287,11 @@ def mesh(
     >>> abs(result.result.vertices[:, 0].max() - 5 - 7.5) < 0.5
     np.True_
     """
-    given = source(image, spacing, origin, direction)
+    given = source(image, spacing, origin, direction, dataset)
     assignments = settings_of(settings)
     _expect_object(settings)
     if name is None:
-        name = "mesh" if given.volume is not None else _native.case_name(given.word)
+        name = _native.case_name(given.word) if given.is_file else "mesh"
     shared: list[str] = []
     for option, value in (("threads", settings.get("threads")), ("max_memory", settings.get("max_memory"))):
         shared += words_of("distfield", {option: value})

@@ -6,12 +6,15 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from isoparticles import _native
+from isoparticles._errors import Error
+from isoparticles._files import Given, Limits, format_of, opened
 
 Image = Any
 """A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to
@@ -28,22 +31,29 @@ ORIGIN_MM = 1e9
 """Maximum coordinate of an origin that the readers of files accept."""
 FLAT = 1e-3
 """Minimum determinant of the axes that the readers of files accept."""
+NO_LIMITS = Limits()
 LAYERS = 64
 """Layers of an array to copy together: a cache line of the smallest voxels."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """An image as a stage takes it: a file, or a volume in memory named ``array`` or ``masks``."""
+    """An image as a stage takes it: a path, or a volume in memory named ``array`` or ``masks``."""
 
     word: str
     volume: _native.Volume | None = None
+    is_file: bool = False
+    """Whether ``word`` is a path. The volume of some files is in memory."""
     words: tuple[str, ...] = ()
     """Options of ``distfield`` for reading the file."""
 
 
 def source(
-    image: Image, spacing: ArrayLike | None = None, origin: ArrayLike | None = None, direction: ArrayLike | None = None
+    image: Image,
+    spacing: ArrayLike | None = None,
+    origin: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
+    dataset: str | None = None,
 ) -> Source:
     """Convert an image; see :func:`isoparticles.distance_field`.
 
@@ -55,20 +65,26 @@ def source(
         If the array does not have three axes, or if the geometry is invalid.
     """
     if isinstance(image, Mapping):
-        return _of_masks(image, spacing, origin, direction)
+        return _of_masks(image, spacing, origin, direction, dataset)
     package = type(image).__module__.partition(".")[0]
     given = [("spacing", spacing), ("origin", origin), ("direction", direction)]
     named = [name for name, value in given if value is not None]
+    if isinstance(image, (str, os.PathLike)) and format_of(os.fsdecode(image)):
+        lengths, place = (None if value is None else _three(name, value, 0.0) for name, value in given[:2])
+        axes = None if direction is None else _axes(direction)
+        return of_file(os.fsdecode(image), dataset, Given(lengths, place, axes))
+    if dataset is not None and not _is_missing(image):
+        raise TypeError("dataset: only for HDF5, MATLAB and Zarr files")
     if isinstance(image, np.ndarray):
         axes, steps = _axes(direction), _three("spacing", spacing, 1.0)
-        return _volume(image, axes * steps, _three("origin", origin, 0.0), is_lps=False)
+        return _volume(image, axes * steps, _three("origin", origin, 0.0))
     if isinstance(image, (str, os.PathLike)) and named == ["spacing"]:
         numbers = _told(_three("spacing", spacing, 1.0))
-        return Source(os.fsdecode(image), words=("--spacing", ",".join(map(repr, numbers))))
+        return Source(os.fsdecode(image), is_file=True, words=("--spacing", ",".join(map(repr, numbers))))
     if named:
         raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
     if isinstance(image, (str, os.PathLike)):
-        return Source(os.fsdecode(image))
+        return Source(os.fsdecode(image), is_file=True)
     if package == "SimpleITK":
         return _of_simpleitk(image)
     if package == "nibabel":
@@ -82,7 +98,31 @@ def source(
     )
 
 
-def _of_masks(masks: Mapping[Any, Image], *geometry: ArrayLike | None) -> Source:
+def _is_missing(image: Image) -> bool:
+    return isinstance(image, (str, os.PathLike)) and not Path(image).exists()
+
+
+def of_file(path: str, dataset: str | None, given: Given, limits: Limits = NO_LIMITS) -> Source:
+    """Read an array of an HDF5, MATLAB or Zarr file.
+
+    Raises
+    ------
+    Error
+        If the file cannot be read, or if its geometry is invalid.
+    """
+    with opened(path, dataset, given, limits) as (grid, slabs):
+        try:
+            spacing, axes = _checked(grid.steps, grid.origin)
+        except ValueError as error:
+            raise Error(f"{path}: {error}", "the volume would have no usable position", "correct the file") from None
+        volume = _native.Volume(
+            slabs, grid.dtype, grid.size, spacing, grid.origin.tolist(), axes, "lps" if grid.is_lps else None
+        )
+    volume.name_labels(grid.names)
+    return Source(path, volume, is_file=True)
+
+
+def _of_masks(masks: Mapping[Any, Image], *geometry: Any) -> Source:
     if not masks:
         raise ValueError("the mapping contains no masks")
     named = []
@@ -101,7 +141,7 @@ def _of_simpleitk(image: Image) -> Source:
         raise ValueError("the image must have three dimensions and one value per voxel")
     array = sys.modules["SimpleITK"].GetArrayViewFromImage(image)
     axes = np.array(image.GetDirection(), dtype=float).reshape(3, 3)
-    return _volume(np.asarray(array).T, axes * np.array(image.GetSpacing()), np.array(image.GetOrigin()), is_lps=True)
+    return _volume(np.asarray(array).T, axes * np.array(image.GetSpacing()), np.array(image.GetOrigin()), "lps")
 
 
 def _of_nibabel(image: Image) -> Source:
@@ -110,9 +150,8 @@ def _of_nibabel(image: Image) -> Source:
         array = array[..., 0]
     header: Any = getattr(image, "header", None)
     unit = header.get_xyzt_units()[0] if hasattr(header, "get_xyzt_units") else "mm"
-    # nibabel's world frame is RAS
-    affine = np.diag([-1.0, -1.0, 1.0]) @ np.asarray(image.affine, dtype=float)[:3] * UNITS_MM.get(unit, 1.0)
-    return _volume(array, affine[:, :3], affine[:, 3], is_lps=True)
+    affine = np.asarray(image.affine, dtype=float)[:3] * UNITS_MM.get(unit, 1.0)
+    return _volume(array, affine[:, :3], affine[:, 3], "ras")
 
 
 def _of_pyvista(image: Image) -> Source:
@@ -125,7 +164,7 @@ def _of_pyvista(image: Image) -> Source:
     if values is None:
         raise ValueError("the image has no single scalar array on its points or cells: make one of them active")
     axes = np.asarray(image.direction_matrix, dtype=float) * np.array(image.spacing)
-    return _volume(values.reshape(size, order="F"), axes, np.array(image.origin) + axes @ first, is_lps=False)
+    return _volume(values.reshape(size, order="F"), axes, np.array(image.origin) + axes @ first)
 
 
 def _scalars(arrays: Any) -> NDArray[Any] | None:
@@ -138,8 +177,13 @@ def _scalars(arrays: Any) -> NDArray[Any] | None:
     return None if name is None else np.asarray(arrays[name])
 
 
-def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, is_lps: bool) -> Source:
-    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm."""
+def _volume(
+    array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], space: Literal["lps", "ras"] | None = None
+) -> Source:
+    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm.
+
+    ``space`` is the frame of ``steps`` and ``origin``.
+    """
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError("masked arrays are not supported: use array.filled(value)")
     name = array.dtype.newbyteorder("=").name
@@ -150,6 +194,14 @@ def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, i
         raise ValueError(f"the array must have three axes (x, y, z), but its shape is {array.shape}")
     if min(array.shape) < 2:
         raise ValueError(f"the array must have at least two voxels along each axis, but its shape is {array.shape}")
+    spacing, axes = _checked(steps, origin)
+    # one part at a time, so that the order of the axes and the type change without a second copy
+    slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
+    return Source("array", _native.Volume(slabs, name, array.shape, spacing, origin.tolist(), axes, space))
+
+
+def _checked(steps: NDArray[Any], origin: NDArray[Any]) -> tuple[list[float], list[list[float]]]:
+    """Check a geometry, and return the spacing and the unit vectors of the axes."""
     spacing = np.linalg.norm(steps, axis=0)
     low, high = SPACING_MM
     if not np.all((spacing >= low) & (spacing <= high)):
@@ -159,10 +211,7 @@ def _volume(array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], *, i
     axes = steps / spacing
     if not abs(np.linalg.det(axes)) >= FLAT:
         raise ValueError(f"the direction is singular: its axes {axes.T.tolist()} are (nearly) coplanar")
-    # one part at a time, so that the order of the axes and the type change without a second copy
-    slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
-    volume = _native.Volume(slabs, name, array.shape, spacing.tolist(), origin.tolist(), axes.T.tolist(), is_lps)
-    return Source("array", volume)
+    return spacing.tolist(), axes.T.tolist()
 
 
 def _axes(direction: ArrayLike | None) -> NDArray[Any]:

@@ -60,6 +60,10 @@ class DistfieldOptions(TypedDict, total=False):
     #: Labels without a scale: minimum distance between the surface and every voxel centre, in units
     #: of the minimum voxel spacing, 0.01 to 0.15. Default: 0.05.
     clearance: float
+    #: World frame of the output, which later stages keep: lps (left, posterior, superior), ras
+    #: (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI and RAS
+    #: NRRD, LPS for DICOM and MetaImage. Default: lps.
+    space: Literal["lps", "ras", "scanner"]
     #: Smooth away details smaller than this length, mm. Default: 0.
     scale: float
     #: Choose the scale for a mesh with this edge length, mm: 1.6 times the edge length (for labels,
@@ -215,6 +219,9 @@ class ReconstructOptions(TypedDict, total=False):
     improve_below: float
     #: Number of sweeps over the whole mesh before ``--improve-below`` applies, 0 to 20. Default: 3.
     relaxation_sweeps: int
+    #: World frame of the mesh: lps (left, posterior, superior), ras (right, anterior, superior), or
+    #: scanner, the frame of the file that distfield read. Default: that of the particles.
+    space: Literal["lps", "ras", "scanner"]
     #: Minimum radius ratio of a triangle, 0 to 1. Default: 0.3 with a distance field; none without.
     min_radius_ratio: float
     #: Several materials: accept triangles below ``--min-radius-ratio`` where junction curves allow
@@ -234,6 +241,9 @@ class ReconstructOptions(TypedDict, total=False):
 class TetmeshOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.fill`."""
 
+    #: World frame of the meshes and of the places in the report: lps (left, posterior, superior),
+    #: ras (right, anterior, superior), or scanner, the frame of the file that distfield read.
+    space: Literal["lps", "ras", "scanner"]
     #: Tetrahedralizer. Default: auto.
     method: Literal["auto", "ftetwild", "hxt", "tetgen"]
     #: Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
@@ -296,6 +306,8 @@ class MeshSettings(TypedDict, total=False):
     inside: Literal["above", "below"]
     #: The treatment of the object at the border of the volume.
     border: Literal["cap", "open"]
+    #: The world frame of the results: lps, ras, or scanner, that of INPUT.
+    space: Literal["lps", "ras", "scanner"]
     #: The size of the features to smooth away, mm.
     scale: float
     #: The ratio of edge length to local feature size.

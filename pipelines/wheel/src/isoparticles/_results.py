@@ -69,6 +69,11 @@ class Result:
         """The history in the file, which says how the result and its inputs were made."""
         return json.loads(self._data.history)
 
+    @property
+    def space(self) -> str | None:
+        """The world frame of the positions: ``lps``, ``ras``, or None if the image names none."""
+        return self._data.space
+
     @cached_property
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """All arrays by name."""

@@ -22,10 +22,22 @@ NOT_FOR_TETRAHEDRA = frozenset(
 KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
 """Kinds of options by their ``type`` in ``options.toml``. Other types are texts."""
 EXTRA_KEYS = frozenset(
-    ("CASE", "NAME", "INPUT", "PHANTOM", "SPACING", "TET_ORDER", "TETMESH_OPTIONS", "OUT", "VERBOSITY", "HXT")
+    (
+        "CASE",
+        "NAME",
+        "INPUT",
+        "DATASET",
+        "PHANTOM",
+        "SPACING",
+        "TET_ORDER",
+        "TETMESH_OPTIONS",
+        "OUT",
+        "VERBOSITY",
+        "HXT",
+    )
 )
-"""Keys of a case that concern files, the terminal or tetrahedra, and the spacing, which is an
-argument of its own."""
+"""Keys of a case that concern files, the terminal or tetrahedra. ``mesh`` has its own argument for
+some of them."""
 
 
 @cache

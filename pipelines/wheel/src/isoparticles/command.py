@@ -26,8 +26,11 @@ VOLUME_GOALS = {
     "surface": "mesh only the surface of a volume",
 }
 """Goals whose first argument is the volume. Unlike in the Makefile, the stages are not goals."""
-TOOLS = {"convert": "write a volume as a VTK image (.vti)"}
-"""Subcommands of ``isoparticles-volume`` that run without a case."""
+TOOLS = {
+    "convert": "write a volume as a VTK image (.vti)",
+    "read": "write an HDF5, MATLAB or Zarr file as a VTK image",
+}
+"""Goals without a case. ``isoparticles-volume`` and ``isoparticles-read`` perform them."""
 NAME_GOALS = {
     "verdict": "print the outcome of a case",
     "page": "regenerate the page of a case",
@@ -182,6 +185,8 @@ def command_of(arguments: Sequence[str]) -> list[str]:
         return [sys.executable, "-m", "tetmesh_check", *rest]
     if goal in STAGES:
         return [program(goal), *rest]
+    if goal == "read":
+        return [sys.executable, "-m", "isoparticles.formats.program", *rest]
     if goal in TOOLS:
         return [program("isoparticles-volume"), goal, *rest]
     if goal == "demo":
@@ -227,5 +232,5 @@ def main() -> NoReturn:
 
 
 def is_help(arguments: Sequence[str]) -> bool:
-    """Return whether the user requests help for a goal; only stages have their own help."""
-    return arguments[0] not in STAGES and any(word in ("-h", "--help") for word in arguments[1:])
+    """Return whether the user requests help for a goal without a help text of its own."""
+    return arguments[0] not in (*STAGES, "read") and any(word in ("-h", "--help") for word in arguments[1:])

@@ -37,6 +37,8 @@ class Arguments:
     labels_volume: Path | None = None
     exports: tuple[str, ...] = ()
     """Further formats to write, of :data:`.FORMATS`."""
+    space: str | None = None
+    """World frame of the output: lps, ras or scanner; by default that of the surface."""
     unit: str = "mm"
     """Unit of the coordinates in these formats."""
     tet_size_factor: float = 1.0

@@ -94,7 +94,7 @@ def find_forced(surface: Surface, limits: Limits, context: Context) -> tuple[For
 def _sharpest(found: ForcedSides, surface: Surface) -> tuple[str, str, str]:
     """Write the number of triangles, and the bound and the place of that with the lowest bound."""
     sharpest = int(found.bound.argmin())
-    place = place_of(surface.points, surface.triangles[found.facet[sharpest]])
+    place = place_of(surface, surface.triangles[found.facet[sharpest]])
     return counted(len(found.facet), "triangle"), f"{found.bound[sharpest]:.3g}", place
 
 
@@ -115,7 +115,7 @@ def list_forced(
         Conformity and quality of the tetrahedra.
     """
     occupied, tetrahedra = sides.occupied(found)
-    centres = centres_of(surface.points, surface.triangles[occupied.facet])
+    centres = surface.shown(centres_of(surface.points, surface.triangles[occupied.facet]))
     names = surface.sides.names if surface.sides is not None else []
     return [
         {"place_mm": place, "material": names[found.regions[cell]], possible: bound, **shape_of(quality, cell)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,7 @@ def measure(task: Task, filled: Filled, context: Context) -> VolumeMesh:
             "volume_mm3": float(quality.volume.sum()),
             "quality": summarize_all(quality),
             "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
-            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, arguments.limits),
+            "poor_tetrahedra": poor_tetrahedra(surface.shown(points), tetrahedra, quality, arguments.limits),
         }
         if arguments.sizefield is not None:
             wanted = arguments.tet_size_factor * task.field.trilinear(centres_of(points, tetrahedra))
@@ -163,4 +164,4 @@ def mark(
     context.results["boundary"] = {
         name: {"triangles": int(own.sum()), "area_mm2": float(areas[own].sum())} for name, own in parts.items()
     }
-    return marked
+    return replace(marked, space=surface.space)

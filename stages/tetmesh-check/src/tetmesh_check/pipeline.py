@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from isoparticles import _native
 from isoparticles._native import Context, GridField
@@ -19,8 +21,9 @@ from tetmesh_check.forced import find_forced
 from tetmesh_check.measures import mark, measure
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, triangle_quality
-from tetmesh_check.regions import check_labels, has_scale, meshed_labels
+from tetmesh_check.regions import check_labels, distfield_parameter, has_scale, meshed_labels
 from tetmesh_check.report.rendering import drawing
+from tetmesh_check.space import output_space, turned
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.volumes import InputVolume, read_label_volume
@@ -39,7 +42,10 @@ vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make
 def _read(
     arguments: Arguments, context: Context
 ) -> tuple[Surface, GridField | None, GridField | None, InputVolume | None]:
-    """Read the surface, h, F and the labels; refuse a surface that needs too much memory."""
+    """Read the surface, h, F and the labels; refuse a surface that needs too much memory.
+
+    All are in LPS. A surface that states no frame is in that of the field h.
+    """
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
     context.check_memory(
@@ -51,13 +57,18 @@ def _read(
     if arguments.sizefield is not None:
         sizing, history = read_sizing_field(arguments.sizefield)
         context.add_input(arguments.sizefield, history)
+        if surface.space is None and (space := distfield_parameter(history, "space")):
+            points = turned(surface.points) if space == "ras" else surface.points
+            surface = replace(surface, points=points, space=space)
     if arguments.order == 2 and arguments.distfield is not None and surface.sides is None:
         field, history = read_distance_field(arguments.distfield, surface.points)
         context.add_input(arguments.distfield, history)
     if arguments.labels_volume is not None:
         labels = read_label_volume(arguments.labels_volume)
         context.add_input(arguments.labels_volume, None)
-    return surface, sizing, field, labels
+    space = output_space(arguments.space, surface.space, distfield_parameter(surface.history, "file_space"))
+    context.parameters["space"] = space
+    return replace(surface, space=space), sizing, field, labels
 
 
 def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) -> tuple[GridField, Values]:
@@ -138,7 +149,9 @@ def _currents(task: Task, filled: Filled) -> Forward | None:
     arguments, sides, found = task.arguments.forward, task.surface.sides, filled.conformity
     if arguments.source is None or sides is None or found is None or found.faults:
         return None
-    return Forward(arguments, sides, task.surface.triangles, found)
+    # the same signs convert positions and directions, in both ways
+    density = task.surface.shown(np.array(arguments.density))
+    return Forward(arguments, sides, task.surface.triangles, found, density)
 
 
 def run(arguments: Arguments, context: Context) -> list[str]:

@@ -27,6 +27,19 @@ def _parameters(history: Any) -> Iterator[dict[str, Any]]:
             yield from _parameters(entry.get("history"))
 
 
+def distfield_parameter(history: Any, name: str) -> Any:
+    """Return a parameter of ``distfield`` in a history, or ``None``.
+
+    Parameters
+    ----------
+    history
+        The history of a file.
+    name
+        The parameter.
+    """
+    return next((parameters.get(name) for parameters in _parameters(history)), None)
+
+
 def meshed_labels(history: Any) -> list[int] | None:
     """Find the labels that ``distfield`` was told to mesh, or ``None``.
 

@@ -18,6 +18,7 @@ from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import file_error, refuse_file
 from tetmesh_check.materials import NOTHING, Sides, read_sides
 from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
+from tetmesh_check.space import in_lps, space_of, turned
 from tetmesh_check.topology import NOT_MANIFOLD, Components, Shells, members_of
 
 _TOOLS = "use a surface from reconstruct, or repair this surface first"
@@ -46,6 +47,19 @@ class Surface:
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
     volumes: list[dict[str, Any]] = field(default_factory=list)
     """Volumes by material in the metadata of the surface, mm^3 (:func:`told_volumes`)."""
+    space: str | None = None
+    """World frame of the output: lps, ras, or ``None`` if unknown. ``points`` are in LPS if it is
+    known."""
+
+    def shown(self, points: Points) -> Points:
+        """Convert positions to the world frame of the output.
+
+        Parameters
+        ----------
+        points
+            Positions in the frame of the surface, shape ``(n, 3)``.
+        """
+        return turned(points) if self.space == "ras" else points
 
     @property
     def bounding_box_diagonal(self) -> float:
@@ -54,7 +68,9 @@ class Surface:
 
 
 def read_dataset(path: Path) -> pv.DataSet:
-    """Read a file with PyVista; convert its exceptions to errors in three parts.
+    """Read a file with PyVista, in LPS if it names an anatomical frame.
+
+    Exceptions are converted to errors in three parts.
 
     Parameters
     ----------
@@ -66,7 +82,7 @@ def read_dataset(path: Path) -> pv.DataSet:
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.SetGlobalWarningDisplay(0)
     try:
-        return pv.read(path)
+        return in_lps(pv.read(path), path)
     except Exception as error:
         raise file_error(path, "read", error, "check that the file is complete and matches its extension") from error
     finally:
@@ -188,26 +204,27 @@ def read_surface(path: Path) -> Surface:
         # with many materials, the vertices must all be used, because the tetrahedra keep them
         used, local = np.unique(triangles, return_inverse=True)
         points, triangles = points[used], local.reshape(-1, 3).astype(np.int64)
-    return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
+    volumes, space = told_volumes(dataset), space_of(dataset, path)
+    return Surface(points, triangles, history_of(dataset), merged, cap, sides, volumes, space)
 
 
-def place_of(points: Points, corners: Cells) -> str:
-    """Write the mean position of vertices.
+def place_of(surface: Surface, corners: Cells) -> str:
+    """Write the mean position of vertices in the world frame of the output.
 
     Parameters
     ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
+    surface
+        The surface.
     corners
         Indices of the vertices.
     """
-    x, y, z = points[corners].reshape(-1, 3).mean(axis=0)
+    x, y, z = surface.shown(surface.points[corners].reshape(-1, 3)).mean(axis=0)
     return f"({x:.6g}, {y:.6g}, {z:.6g}) mm"
 
 
 def _crossing(surface: Surface, pairs: Cells) -> str:
     """Write how many triangles intersect each other, and where the first is."""
-    place = place_of(surface.points, surface.triangles[pairs[0, 0]])
+    place = place_of(surface, surface.triangles[pairs[0, 0]])
     return f"intersects itself: {len(np.unique(pairs))} triangles in {len(pairs)} pairs, the first near {place}"
 
 
@@ -246,12 +263,12 @@ def _check_materials(path: Path, surface: Surface, sides: Sides) -> Shells:
     flat, twice, wrong, crossing = found["flat"], found["duplicates"], found["open_edges"], found["crossing"]
     if len(flat):
         refuse(
-            f"{len(flat)} triangles have no area, the first near {place_of(points, triangles[flat[0]])}",
+            f"{len(flat)} triangles have no area, the first near {place_of(surface, triangles[flat[0]])}",
             "no tetrahedron with a positive volume can have such a face",
         )
     if len(twice):
         refuse(
-            f"{len(twice)} triangles occur more than once, the first near {place_of(points, triangles[twice[0]])}",
+            f"{len(twice)} triangles occur more than once, the first near {place_of(surface, triangles[twice[0]])}",
             "the space between two equal triangles is empty",
         )
     if wrong:

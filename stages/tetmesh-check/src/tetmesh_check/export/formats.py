@@ -159,6 +159,6 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
         Unit of the coordinates: ``mm``, ``m`` or ``um``. openCARP files are always in micrometres.
     """
     scale = _PER_MM["um" if kind == "carp" else unit]
-    scaled = mesh if scale == 1.0 else replace(mesh, points=mesh.points * scale)
+    scaled = replace(mesh, points=mesh.shown * scale)
     for ending, write in _files(name, kind, mesh.materials is not None).items():
         write_atomically(output.with_name(f"{name}.{ending}"), partial(write, scaled))

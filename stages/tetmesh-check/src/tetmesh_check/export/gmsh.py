@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 from struct import pack
 
+import h5py
 import meshio
 import numpy as np
 
@@ -38,6 +39,10 @@ def _numbered(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
     regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
     above = 10 ** len(str(max([0, *(own.number for own in regions)])))
     return regions, [own._replace(number=above + own.number) for own in parts]
+
+
+def _comment(mesh: MarkedMesh) -> str:
+    return f"isoparticles; {mesh.frame}"
 
 
 def _numbers(sets: list[NamedSet], size: int) -> Labels:
@@ -78,6 +83,8 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     made.cell_tags = {own.number: [own.name] for own in (*regions, *parts)}
     # meshio would otherwise choose the format by the name of the file
     meshio.write(path, made, file_format="med")
+    with h5py.File(path, "r+") as file:
+        file["ENS_MAA/mesh"].attrs["DES"] = np.bytes_(_comment(mesh))
 
 
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
@@ -95,6 +102,9 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     for dimension, sets in ((3, regions), (2, parts)):
         made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
     meshio.write(path, made, file_format="gmsh22", binary=False)
+    # some programs skip other sections only before the nodes
+    header, end, rest = path.read_text(encoding="utf-8").partition("$EndMeshFormat\n")
+    path.write_text(f"{header}{end}$Comments\n{_comment(mesh)}\n$EndComments\n{rest}", encoding="utf-8")
 
 
 def write_msh(mesh: MarkedMesh, path: Path) -> None:
@@ -132,6 +142,7 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         first += len(cells)
     sections = {
         "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
+        "Comments": [_comment(mesh).encode()],
         "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
         "Entities": entities,
         "Nodes": [pack("<4Q", len(blocks), int((~is_left).sum()), 1, len(mesh.points)), *nodes],

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tetmesh_check.materials import NOBODY, Conformity, Sides
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
+from tetmesh_check.space import turned
 from tetmesh_check.topology import Boundary
 
 _RESERVED = ("volume", "nodes", "all")
@@ -68,7 +69,7 @@ class MarkedMesh:
     """Tetrahedra and their boundary, each with its mark."""
 
     points: Points
-    """World positions, mm, shape ``(n, 3)``."""
+    """World positions, shape ``(n, 3)``: in mm and LPS (:attr:`space`), or as written to a file."""
     elements: Cells
     """Nodes of the tetrahedra in VTK order, shape ``(m, 4)``, or ``(m, 10)`` for quadratic ones."""
     regions: Labels
@@ -91,6 +92,18 @@ class MarkedMesh:
     """Names of the parts of the boundary, or of the interfaces, by mark."""
     materials: list[dict[str, Any]] | None = None
     """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
+    space: str | None = None
+    """World frame of the files: lps, ras, or ``None`` if that of ``points`` is unknown, too."""
+
+    @property
+    def shown(self) -> Points:
+        """The positions in the world frame of the files, mm, shape ``(n, 3)``."""
+        return turned(self.points) if self.space == "ras" else self.points
+
+    @property
+    def frame(self) -> str:
+        """The world frame in words, for comments in the files."""
+        return f"world frame {self.space.upper() if self.space else 'of the input'}"
 
     @property
     def tetrahedra(self) -> Cells:

@@ -16,7 +16,7 @@ from tetmesh_check.datasets import add_text, to_polydata
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
-from tetmesh_check.quality import Labels, Values
+from tetmesh_check.quality import Labels, Points, Values
 
 _MEASURES = ("radius_ratio", "scaled_jacobian", "min_dihedral", "jacobian_bound")
 """Measures that the volume mesh has as cell data. Angles are in degrees."""
@@ -24,15 +24,24 @@ _FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
 
-def _grid(mesh: MarkedMesh) -> pv.UnstructuredGrid:
+def _add_space(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
+    """Store the world frame in the form of the Rust stages."""
+    add_text(dataset, "space", json.dumps((mesh.space or "unnamed").capitalize()))
+
+
+def _grid(mesh: MarkedMesh, points: Points) -> pv.UnstructuredGrid:
     kind = pv.CellType.QUADRATIC_TETRA if mesh.is_quadratic else pv.CellType.TETRA
-    return pv.UnstructuredGrid({kind: mesh.elements}, mesh.points)
+    grid = pv.UnstructuredGrid({kind: mesh.elements}, points)
+    _add_space(grid, mesh)
+    return grid
 
 
 def _surface(mesh: MarkedMesh, triangles: Labels | slice) -> tuple[pv.PolyData, Labels]:
     """Return triangles of the boundary, and the indices of their points in the mesh."""
     used, local = np.unique(mesh.boundary[triangles], return_inverse=True)
-    return to_polydata(mesh.points[used], local.reshape(-1, 3)), used
+    surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
+    _add_space(surface, mesh)
+    return surface, used
 
 
 def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], history: dict[str, Any]) -> None:
@@ -52,7 +61,7 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     history
         Program, parameters and inputs of the file.
     """
-    grid = _grid(mesh)
+    grid = _grid(mesh, mesh.shown)
     grid.cell_data.update({name: measures[name] for name in _MEASURES if name in measures})
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
@@ -79,7 +88,7 @@ def _save(writer: Any, grid: pv.UnstructuredGrid, path: Path) -> None:
 
 def write_legacy(mesh: MarkedMesh, path: Path) -> None:
     """Write legacy VTK 4.2, binary, with cell data ``region`` and point data ``boundary``."""
-    grid = _grid(mesh)
+    grid = _grid(mesh, mesh.points)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
     add_text(grid, "regions", mesh.region_text())
@@ -91,7 +100,7 @@ def write_legacy(mesh: MarkedMesh, path: Path) -> None:
 
 def write_simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
     """Write SimVascular's mesh-complete.mesh.vtu, with numbers from 1 and regions."""
-    grid = _grid(mesh)
+    grid = _grid(mesh, mesh.points)
     grid.point_data["GlobalNodeID"] = np.arange(1, len(mesh.points) + 1, dtype=np.int32)
     grid.cell_data["GlobalElementID"] = np.arange(1, len(mesh.elements) + 1, dtype=np.int32)
     grid.cell_data["ModelRegionID"] = mesh.regions.astype(np.int32)

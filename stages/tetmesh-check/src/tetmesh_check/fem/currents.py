@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.materials import Conformity, Sides
-from tetmesh_check.quality import Cells
+from tetmesh_check.quality import Cells, Values
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class ForwardArguments:
     source: str | None = None
     """The material of the current source. Without one, the problem is not solved."""
     density: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """Density of the impressed current, uA/mm^2."""
+    """Density of the impressed current in the world frame of the output, uA/mm^2."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class Forward:
     """Triangles between two materials, shape ``(k, 3)``."""
     found: Conformity
     """The material of each tetrahedron, and the tetrahedra on both sides of each triangle."""
+    density: Values
+    """Density of the impressed current in the frame of the tetrahedra, uA/mm^2, shape ``(3,)``."""
 
 
 def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:

@@ -143,7 +143,7 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
     basis = linear_elements(mesh)
     conductivity = np.array([arguments.conductivity.get(name, DEFAULT_CONDUCTIVITY) for name in names])
     in_source = regions == names.index(str(arguments.source))
-    impressed = np.multiply.outer(arguments.density, in_source[:, None])
+    impressed = np.multiply.outer(problem.density, in_source[:, None])
     potential, current, figures = potential_of(basis, conductivity[regions], impressed, deadline)
     listed = _regions(basis, conductivity, potential, current, problem)
     # in some materials, hardly any current flows; the maximum is the scale for all of them

@@ -22,6 +22,7 @@ from tetmesh_check.materials import INSIDE
 from tetmesh_check.quality import Points, triangle_quality
 from tetmesh_check.report.colours import materials_of
 from tetmesh_check.report.rendering import use_renderer
+from tetmesh_check.space import in_lps
 
 _WIDTH, _HEIGHT = 1600, 1200
 _STRIP = 170
@@ -248,7 +249,7 @@ def main(surface_path: str, volume_path: str, *targets: str) -> None:
         Kinds of pictures and their files, ``KIND=FILE``.
     """
     use_renderer()
-    surface, volume = pv.read(surface_path), pv.read(volume_path)
+    surface, volume = (in_lps(pv.read(path), Path(path)) for path in (surface_path, volume_path))
     failed = []
     for target in targets:
         kind, _, path = target.partition("=")

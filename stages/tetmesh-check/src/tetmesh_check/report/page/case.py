@@ -127,9 +127,9 @@ class Case:
 
     @property
     def input(self) -> Path | None:
-        """The meshed volume: that of the user, or the phantom of the case."""
+        """The meshed volume: that of the user, converted if needed, or the phantom of the case."""
         own = (Path(entry["path"]) for entry in self.inputs if entry["role"] == "volume")
-        return next(own, self.file("phantom", ".nrrd"))
+        return self.file("read", ".input.vti") or next(own, self.file("phantom", ".nrrd"))
 
     @property
     def pictures(self) -> dict[str, Path]:

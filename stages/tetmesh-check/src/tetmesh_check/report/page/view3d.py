@@ -85,14 +85,14 @@ class ViewMesh:
 
 
 def is_anatomical(dataset: pv.DataSet) -> bool:
-    """Whether a file of the pipeline says that its world is that of the body.
+    """Whether a file of the pipeline says that its world is that of the body (LPS or RAS).
 
     Parameters
     ----------
     dataset
         The file as read.
     """
-    return (text_of(dataset, "space") or "").strip('"').lower() == "lps"
+    return (text_of(dataset, "space") or "").strip('"').lower() in ("lps", "ras")
 
 
 def _add_edge_lengths(mesh: pv.PolyData) -> pv.PolyData:
@@ -191,9 +191,9 @@ def pack(meshes: list[ViewMesh], anatomical: bool = True) -> tuple[dict[str, Any
     Parameters
     ----------
     meshes
-        The meshes; the first is shown first.
+        The meshes, in LPS if there is an anatomical frame; the first is shown first.
     anatomical
-        Whether the world is that of the body (LPS).
+        Whether there is an anatomical frame.
 
     Returns
     -------

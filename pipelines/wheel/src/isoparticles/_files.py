@@ -1,0 +1,233 @@
+"""Volumes in files that Python packages read: HDF5, MATLAB and OME-Zarr.
+
+The packages read in a process of their own (``isoparticles.formats.worker``), which passes the
+voxels on in slabs. A file that crashes a package therefore ends in an :class:`Error`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Timer
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from isoparticles import _native
+from isoparticles._errors import Error, warn
+from isoparticles.formats import worker
+
+STARTS = {
+    b"\x89HDF\r\n\x1a\n": "hdf5",
+    b"MATLAB 5.0 MAT-file": "matlab",
+    b"MATLAB 7.3 MAT-file": "matlab 7.3",
+}
+"""Formats by the first bytes, as in ``common/volume/src/foreign.rs``."""
+ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
+PACKAGES = {"hdf5": "h5py", "matlab": "scipy", "matlab 7.3": "h5py", "zarr": "zarr"}
+"""The package that reads each format."""
+PATIENCE_SECONDS = 300.0
+"""Longest time between two messages of the process. A slab of 64 MB takes below 1 s."""
+SLACK_BYTES = 1 << 30
+"""Memory of the process in addition to its slabs. Zarr takes 0.3 GB with 32 threads."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Functions of the program that reads a file."""
+
+    check_memory: Callable[[int], None] = lambda _: None
+    """Refuses a number of bytes that exceeds a limit of the user."""
+    warn: Callable[[str], None] = warn
+
+
+def format_of(path: str) -> str | None:
+    """Return the format of a file or folder, or ``None`` if the stages read it themselves."""
+    if Path(path).is_dir():
+        return "zarr" if any(Path(path, name).is_file() for name in ZARR_FILES) else None
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(max(map(len, STARTS)))
+    except OSError:
+        return None
+    return next((kind for begin, kind in STARTS.items() if start.startswith(begin)), None)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The grid of an array, in the order x, y, z."""
+
+    size: list[int]
+    dtype: str
+    steps: NDArray[np.float64]
+    """The columns lead to the next voxel along each axis, mm."""
+    origin: NDArray[np.float64]
+    is_lps: bool
+    names: list[tuple[str, int]]
+
+
+@dataclass(frozen=True)
+class Given:
+    """The geometry that the caller gives, in the order x, y, z."""
+
+    spacing: NDArray[np.float64] | None = None
+    origin: NDArray[np.float64] | None = None
+    axes: NDArray[np.float64] | None = None
+    """Unit vectors of the axes as columns."""
+
+
+@contextmanager
+def opened(
+    path: str, dataset: str | None, given: Given, limits: Limits
+) -> Iterator[tuple[Grid, Iterator[NDArray[Any]]]]:
+    """Find an array, and return its grid and its voxels in parts along z.
+
+    Raises
+    ------
+    Error
+        If the array is not found, cannot be read, does not fit in memory, or if the given geometry
+        contradicts that of the file.
+    """
+    kind = format_of(path) or ""
+    if find_spec(PACKAGES[kind]) is None:
+        raise Error(
+            f"{path}: the package {PACKAGES[kind]} is not installed",
+            "it reads files of this format",
+            'pip install "isoparticles[formats]"',
+        )
+    process = _start(kind, path, dataset)
+    try:
+        found = _message(process, path)
+        grid = _grid(path, found, given)
+        _check_memory(path, found, grid, limits)
+        for warning in _warnings(path, found, given):
+            limits.warn(warning)
+        yield grid, _slabs(process, path, grid, SLACK_BYTES + int(found["working_bytes"]))
+    finally:
+        _stop(process)
+
+
+def _warnings(path: str, found: dict[str, Any], given: Given) -> list[str]:
+    """Return the warnings about the spacing, which do not matter if the caller gives one."""
+    if given.spacing is not None:
+        return []
+    missing = (
+        [f"{path}: contains no spacing; 1 mm is assumed (give the spacing if it differs)"]
+        if found["spacing"] is None
+        else []
+    )
+    return [*found["warnings"], *missing]
+
+
+def _start(kind: str, path: str, dataset: str | None) -> subprocess.Popen[bytes]:
+    words = [sys.executable, worker.__file__, kind, path, *([dataset] if dataset else [])]
+    # threads of linear algebra would take memory from the limit of the process
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    )
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
+    process.wait()
+
+
+def _died(process: subprocess.Popen[bytes], path: str, patience: Timer) -> Error:
+    """Return the error after the process has ended without a message."""
+    code = process.wait()
+    how = f"took more than {PATIENCE_SECONDS:g} s" if patience.finished.is_set() else f"ended with the exit code {code}"
+    return Error(f"{path}: reading it {how}", "it is probably damaged", "write or copy the file again")
+
+
+def _message(process: subprocess.Popen[bytes], path: str) -> dict[str, Any]:
+    """Receive a message."""
+    assert process.stdout is not None
+    patience = Timer(PATIENCE_SECONDS, process.kill)
+    patience.start()
+    try:
+        line = process.stdout.readline()
+        if not line.endswith(b"\n"):
+            raise _died(process, path, patience)
+    finally:
+        patience.cancel()
+    message: dict[str, Any] = json.loads(line)
+    if "error" in message:
+        raise Error(*message["error"])
+    return message
+
+
+def _slabs(process: subprocess.Popen[bytes], path: str, grid: Grid, limit: int) -> Iterator[NDArray[Any]]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    nx, ny, nz = grid.size
+    layers = 0
+    with suppress(BrokenPipeError):  # the next message tells how the process ended
+        process.stdin.write(f"{limit}\n".encode())
+        process.stdin.flush()
+    while layers < nz:
+        part = _message(process, path)["layers"]
+        values = np.empty((part, ny, nx), grid.dtype)
+        # mypy does not know that a buffered pipe has `readinto`
+        if process.stdout.readinto(values.reshape(-1).view(np.uint8).data) != values.nbytes:  # type: ignore[attr-defined]
+            raise Error(f"{path}: reading it ended early", "it is probably damaged", "write or copy the file again")
+        layers += part
+        yield values.T
+
+
+def _check_memory(path: str, found: dict[str, Any], grid: Grid, limits: Limits) -> None:
+    voxels = int(np.prod(grid.size, dtype=object)) * np.dtype(grid.dtype).itemsize
+    needed = min(voxels + int(found["working_bytes"]), 2**64 - 1)
+    try:
+        _native.check_memory(path, needed)
+        limits.check_memory(needed)
+    except Error as error:
+        if not found["others"]:
+            raise
+        raise Error(error.what, error.why, f"choose a smaller dataset: {', '.join(found['others'])}") from None
+
+
+def _grid(path: str, found: dict[str, Any], given: Given) -> Grid:
+    """Return the grid of the file, completed by the geometry that the caller gives."""
+    spacing, origin, axes = given.spacing, given.origin, given.axes
+    if found["spacing"] is not None and found["has_unit"] and spacing is not None:
+        raise Error(
+            f"{path}: contains the spacing of its voxels, and {_told(spacing)} mm was given",
+            "a second spacing would contradict that of the file",
+            "leave out the spacing; if that of the file is wrong, correct the file",
+        )
+    if found["origin"] is not None and (origin is not None or axes is not None):
+        raise Error(
+            f"{path}: contains the position of its voxels, and an origin or a direction was given",
+            "a second position would contradict that of the file",
+            "leave out the origin and the direction",
+        )
+    lengths = np.array(found["spacing"] or [1.0] * 3)
+    place = np.array(found["origin"] or [0.0] * 3)
+    if spacing is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):  # an invalid origin is refused later
+            place, lengths = place * (spacing / lengths), spacing
+    lps = np.eye(3) if found["lps"] is None else np.array(found["lps"]).T
+    return Grid(
+        found["size"],
+        found["dtype"],
+        (lps if axes is None else axes) * lengths,
+        lps @ place if origin is None else origin,
+        found["lps"] is not None,
+        [(name, label) for name, label in found["names"]],
+    )
+
+
+def _told(numbers: NDArray[np.float64]) -> str:
+    return " x ".join(f"{number:g}" for number in numbers)
