@@ -292,7 +292,7 @@ class MeshSettings(TypedDict, total=False):
 
     #: The series of a folder of DICOM files, by description, number or UID.
     series: str
-    #: The region to keep: a box such as mm:0..50,..,10.. or voxels:0..99,..,5.., or a mask file.
+    #: The region to keep: a box such as mm:0..50,..,10.
     crop: str | PathLike[str]
     #: The number of voxels to join along each axis: 2 or 2,2,1.
     downsample: int | str | Iterable[int]
