@@ -43,8 +43,13 @@ pub(super) struct Layers<'a, L> {
 
 impl<'a, L: Label> Layers<'a, L> {
     /// Creates layers without segments. `path` is the file of the segments.
-    pub(super) fn new(path: &'a Path, grid: Geometry) -> Self {
-        Self { path, grid, layers: Vec::new(), segments: Vec::new(), empty: Vec::new() }
+    ///
+    /// # Errors
+    /// If the masks of a segment and a layer do not fit in memory.
+    pub(super) fn new(path: &'a Path, grid: Geometry) -> Result<Self> {
+        let count = voxel_count(path, grid.size)?;
+        check_memory(path, count.saturating_mul(1 + size_of::<L>()) as u64)?;
+        Ok(Self { path, grid, layers: Vec::new(), segments: Vec::new(), empty: Vec::new() })
     }
 
     /// Adds a segment. `masks` has at most one mask per slice.

@@ -207,7 +207,7 @@ impl Segmentation {
 
     /// Reads binary and fractional segments. The frame with index 0 is in slice `shift`.
     fn layered<L: Label>(&self, data: &PixelData, grid: Geometry, shift: usize) -> Result<Volume> {
-        let mut layers = Layers::<L>::new(&self.path, grid);
+        let mut layers = Layers::<L>::new(&self.path, grid)?;
         for (number, name) in &self.names {
             let slices = self.frames.get(number).map_or(&[][..], Vec::as_slice);
             let masks = slices.par_iter().map(|slice| Ok((shift + self.index(slice), self.mask(data, slice)?)));
@@ -220,7 +220,8 @@ impl Segmentation {
     /// Reads a label map, like [`Self::layered`].
     fn label_map(&self, data: &PixelData, grid: Geometry, shift: usize) -> Result<Volume> {
         let plane = grid.size[0] * grid.size[1];
-        check_memory(&self.path, 2 * grid.voxel_count() as u64)?;
+        // 16-bit labels, and 8-bit ones if these suffice
+        check_memory(&self.path, 3 * grid.voxel_count() as u64)?;
         let mut labels = vec![0u16; grid.voxel_count()];
         for slice in self.slices() {
             let to = shift + self.index(slice);

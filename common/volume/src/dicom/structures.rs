@@ -189,7 +189,7 @@ impl Structures {
     }
 
     fn draw<L: Label>(&self, grid: Geometry) -> Result<Volume> {
-        let mut layers = Layers::<L>::new(&self.path, grid.clone());
+        let mut layers = Layers::<L>::new(&self.path, grid.clone())?;
         let to_index = DMat3::from_diagonal(grid.spacing.recip()) * grid.directions.inverse();
         let mut report = Report::default();
         for (n, object) in self.objects.iter().enumerate() {
@@ -225,7 +225,8 @@ impl Structures {
                     (slice, fill(&corners, [grid.size[0], grid.size[1]]))
                 })
                 .collect();
-            layers.add(n as u16 + 1, object.name.clone(), &masks)?;
+            // number 0, which is refused, stands for numbers that are too large
+            layers.add(u16::try_from(n + 1).unwrap_or(0), object.name.clone(), &masks)?;
         }
         let mut volume = layers.join()?;
         volume.remarks.extend(report.remarks(&self.ignored));
