@@ -150,6 +150,13 @@ impl InputArgs {
             Kind::Scan => (Pooling::Mean, "mean"),
             Kind::Labels => (Pooling::MostFrequent, "most frequent label"),
         };
+        let blocks = before.downsampled(factors);
+        let bytes: usize = volume.layers().map(|voxels| pooling.bytes(voxels.scalar_type())).sum();
+        context.check_memory(
+            bytes as f64 * blocks.voxel_count() as f64,
+            &format!("{}: downsampling to {} voxels", self.path.display(), size(blocks.size)),
+            "set DOWNSAMPLE (--downsample) to a larger number",
+        )?;
         volume.downsample(factors, pooling);
         let after = &volume.geometry;
         context.add_row(

@@ -9,6 +9,7 @@ use crate::report::SCALED_VOLUME_LIMITS;
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::limit::check_memory;
 use isoparticles_survey::input::{crop, percent};
 use isoparticles_survey::kind::Kind;
 use isoparticles_volume::{LayerLabel, Volume, VoxelBox};
@@ -25,6 +26,8 @@ const MOST_ROWS: usize = 12;
 /// If too few voxels would be left, or if the kind of the volume does not match the options.
 pub(crate) fn reduce(args: &Args, mut volume: Volume, context: &Context) -> Result<Volume> {
     if let Some(kept) = args.input.region(&volume.geometry, context)? {
+        // a byte per voxel marks the object
+        check_memory(&args.input.path, volume.geometry.voxel_count() as u64)?;
         let step = context.step("crop");
         let cut = Parts::of(args, &volume).map(|parts| parts.cut(&volume, kept));
         drop(step);

@@ -38,7 +38,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,
         &format!("resampling the sheared volume to {nx} x {ny} x {nz} voxels"),
-        "crop the volume to the object, or resample it",
+        "set CROP (--crop) to a region around the object, or DOWNSAMPLE (--downsample) to 2 or more",
     )?;
     let step = context.step("resample");
     let resampled = match wanted {

@@ -1,17 +1,27 @@
 //! Reduces a grid of voxels by whole factors: each block of voxels becomes one voxel.
 
-use super::{Number, Voxels};
+use super::{Number, ScalarType, Voxels};
 use rayon::prelude::*;
 
 /// How the voxels of a block become one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pooling {
     /// The mean, for measured values. The result is `F64` for `F64` values and `F32` for all other
-    /// types, because rounding to whole numbers would make steps. A block with NaN becomes NaN.
+    /// types, because whole numbers would give the surface steps. A block with NaN becomes NaN.
     Mean,
     /// The most frequent value, for labels. Of equally frequent values, the smallest. NaN counts
     /// as 0. The type is unchanged.
     MostFrequent,
+}
+
+impl Pooling {
+    /// Returns the number of bytes of a result for values of a type.
+    pub fn bytes(self, scalar: ScalarType) -> usize {
+        match (self, scalar) {
+            (Self::MostFrequent, _) | (_, ScalarType::F64) => scalar.bytes(),
+            _ => ScalarType::F32.bytes(),
+        }
+    }
 }
 
 /// A division of a grid into blocks. Voxels that do not fill a block are ignored.
