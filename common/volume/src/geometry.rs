@@ -127,6 +127,14 @@ impl Geometry {
         self.directions.inverse() * (world - self.origin)
     }
 
+    /// Returns the matrix and the offset that convert index positions of another grid in the same
+    /// world frame to those of this grid.
+    pub fn index_from(&self, other: &Self) -> (DMat3, DVec3) {
+        let at = |index: DVec3| self.grid_to_index(self.world_to_grid(other.grid_to_world(other.index_to_grid(index))));
+        let origin = at(DVec3::ZERO);
+        (DMat3::from_cols(at(DVec3::X) - origin, at(DVec3::Y) - origin, at(DVec3::Z) - origin), origin)
+    }
+
     /// Converts a normal from the grid frame to the world frame. Uses the inverse transpose,
     /// because the axes may not be orthogonal.
     pub fn normal_to_world(&self, normal: DVec3) -> DVec3 {

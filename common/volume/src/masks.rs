@@ -21,8 +21,9 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Endings of the names of volume files. A mask has the name of its file without the ending.
-const ENDINGS: [&str; 12] =
+/// Endings of the names of mask files. A mask has the name of its file without the ending. The first
+/// match counts, so `.seg.nrrd` comes before `.nrrd`.
+pub const ENDINGS: [&str; 12] =
     [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".mgz", ".mgh", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
 
 /// Maximum number of masks: a byte holds this many labels besides 0. TotalSegmentator writes 117.
@@ -217,7 +218,7 @@ fn common_grid(grids: &[Geometry]) -> Geometry {
     let size = DVec3::from_array(finest.size.map(|n| n as f64));
     let (mut low, mut high) = (DVec3::ZERO, size);
     for grid in grids {
-        let index = index_of(finest, grid);
+        let index = finest.index_from(grid);
         for corner in 0..8 {
             let at = [0, 1, 2].map(|a| if corner >> a & 1 == 0 { -0.5 } else { grid.size[a] as f64 - 0.5 });
             let at = index.0 * DVec3::from_array(at) + index.1;
@@ -230,13 +231,6 @@ fn common_grid(grids: &[Geometry]) -> Geometry {
     }
     let size = (high - low).to_array().map(|n| n as usize);
     Geometry { size, origin: finest.grid_to_world(finest.index_to_grid(low)), ..finest.clone() }
-}
-
-/// Returns the matrix and the offset that convert the index positions of `from` to those of `to`.
-fn index_of(to: &Geometry, from: &Geometry) -> (DMat3, DVec3) {
-    let at = |index: DVec3| to.grid_to_index(to.world_to_grid(from.grid_to_world(from.index_to_grid(index))));
-    let origin = at(DVec3::ZERO);
-    (DMat3::from_cols(at(DVec3::X) - origin, at(DVec3::Y) - origin, at(DVec3::Z) - origin), origin)
 }
 
 /// A mask over the grid of the layers.
@@ -254,7 +248,7 @@ struct Placed {
 
 impl Placed {
     fn new(inside: Vec<bool>, mask: &Geometry, grid: &Geometry) -> Self {
-        let index = index_of(mask, grid);
+        let index = mask.index_from(grid);
         let bounds = bounds(&inside, mask, grid);
         Self { inside, size: mask.size, index, layer: grid.size, bounds }
     }
@@ -308,7 +302,7 @@ fn bounds(inside: &[bool], mask: &Geometry, grid: &Geometry) -> [Range<usize>; 3
         return [0..0, 0..0, 0..0];
     }
     // half a voxel around the centres, and one more against rounding
-    let (matrix, origin) = index_of(grid, mask);
+    let (matrix, origin) = grid.index_from(mask);
     let (centre, half) = (0.5 * (low + high), 0.5 * (high - low) + 0.5);
     let reach = DMat3::from_cols(matrix.x_axis.abs(), matrix.y_axis.abs(), matrix.z_axis.abs()) * half + 1.0;
     let centre = matrix * centre + origin;
