@@ -52,6 +52,9 @@ impl FromStr for Crop {
             let number = |end: &str| end.parse::<u32>().ok().map(f64::from);
             return box_of(ends, number, "the number of a voxel, from 0").map(Self::Voxels);
         }
+        if text.split(',').count() == 3 && text.split(',').all(|range| range.contains("..")) {
+            return Err(format!("needs a unit: {WORLD}{text} in mm, or {VOXELS}{text}"));
+        }
         if text.is_empty() {
             return Err("names no region; write mm:x0..x1,y0..y1,z0..z1, voxels:i0..i1,j0..j1,k0..k1, or a mask".into());
         }
@@ -194,10 +197,8 @@ fn mask_bounds(file: &Path, path: &Path, geometry: &Geometry) -> Result<[DVec3; 
             "write the mask in the frame of the volume, or give a box",
         ));
     }
-    let to_index =
-        |index: DVec3| geometry.grid_to_index(geometry.world_to_grid(own.grid_to_world(own.index_to_grid(index))));
-    let start = to_index(DVec3::ZERO);
-    let steps = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| to_index(axis) - start);
+    let (steps, start) = geometry.index_from(own);
+    let steps = [steps.x_axis, steps.y_axis, steps.z_axis];
     let half = 0.5 * (steps[0].abs() + steps[1].abs() + steps[2].abs());
     let [nx, ny, nz] = own.size;
     let of_row = |row: usize| {

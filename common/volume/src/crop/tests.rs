@@ -101,6 +101,7 @@ fn regions_are_written_as_they_are_read() {
     assert_eq!(crop("mm: 1 .. 2 , .. , 1e1 .."), crop("mm:1..2,..,10.."));
     for (text, told) in [
         ("", "names no region"),
+        ("1..2,..,5..", "mm:1..2,..,5.. in mm, or voxels:1..2,..,5.."),
         ("mm:1..2", "has 1 ranges"),
         ("mm:1..2,3,4..5", "'3' is not a range"),
         ("mm:1..NaN,..,..", "'NaN' is not a number of mm"),
