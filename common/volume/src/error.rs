@@ -156,7 +156,7 @@ impl Error {
                 Content::DicomSlice => "use the folder that contains the files of the series",
                 Content::Hdf5 | Content::Matlab | Content::Zarr => {
                     "convert it with `isoparticles-read FILE --dataset NAME -o V.vti`; `make mesh` and `isoparticles \
-                     mesh` do this themselves"
+                     mesh` do this with the volume to mesh, but not with masks"
                 }
                 Content::LegacyVtk => "open it in ParaView or pyvista and save the image as .vti",
                 _ => "use the volume that it was made from",

@@ -45,7 +45,7 @@ pub(crate) fn no_spacing(path: &Path, what: impl std::fmt::Display) -> Error {
         what,
         "the size of the mesh depends on it",
         "give the distances between voxel centres along x, y and z in mm: --spacing 0.01,0.01,0.02, or for make \
-         SPACING=0.01,0.01,0.02",
+         SPACING=0.01,0.01,0.02; convert a mask to a format that contains them, such as NRRD",
     )
 }
 

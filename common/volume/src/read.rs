@@ -55,8 +55,8 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
 /// Reads a volume like [`read_volume`], with options.
 ///
 /// # Errors
-/// If [`read_volume`] would fail, if the requested series does not exist, or if a series is
-/// requested from a file.
+/// If [`read_volume`] would fail, if the requested series does not exist, if a series is requested
+/// from anything but DICOM, or if a spacing is given for a file that contains one.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if let Some(content) = foreign_content(path) {
         return Err(Error::NotAVolume { path: path.to_path_buf(), content });
@@ -64,7 +64,7 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     if path.is_dir() {
         return read_folder(path, options);
     }
-    // if this is the voxel file of a NIfTI pair, start from its header
+    // if this is the voxel file of a pair, start from its header
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
@@ -86,14 +86,14 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     read(path)
 }
 
-/// Fails if a series is requested from anything but a folder of DICOM files.
+/// Fails if a series is requested from anything but DICOM.
 fn without_series(path: &Path, options: &ReadOptions<'_>) -> Result<()> {
     match options.series {
         Some(series) => Err(bad(
             path,
             format!("has no series, and '{series}' was requested"),
-            "only a folder of DICOM files has series",
-            "leave out the series, or use the folder",
+            "only DICOM has series",
+            "leave out the series, or use the folder of DICOM files",
         )),
         None => Ok(()),
     }
