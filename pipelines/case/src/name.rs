@@ -1,33 +1,13 @@
 //! Derives the name of a case from its volume.
 
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::masks;
 use std::path::Path;
 
-/// File name suffixes that are not part of the name of the results. The first match is removed, so
-/// `.seg.nrrd` comes before `.nrrd`.
-const ENDINGS: [&str; 21] = [
-    ".seg.nrrd",
-    ".nii.gz",
-    ".ome.tif",
-    ".ome.zarr",
-    ".nrrd",
-    ".nhdr",
-    ".nii",
-    ".hdr",
-    ".mgz",
-    ".mgh",
-    ".mha",
-    ".mhd",
-    ".tiff",
-    ".tif",
-    ".npy",
-    ".vti",
-    ".dcm",
-    ".zarr",
-    ".hdf5",
-    ".h5",
-    ".mat",
-];
+/// File name suffixes that are not part of the name of the results, besides those of masks. The
+/// first match is removed, so `.ome.tif` comes before `.tif`.
+const ENDINGS: [&str; 11] =
+    [".ome.tiff", ".ome.tif", ".ome.zarr", ".tiff", ".tif", ".npy", ".dcm", ".zarr", ".hdf5", ".h5", ".mat"];
 
 /// Returns the name of a volume's results: the file or folder name without a known suffix.
 ///
@@ -38,7 +18,8 @@ pub fn of_volume(path: &Path) -> Result<String> {
     let path = if path.file_name().is_some() { path.to_path_buf() } else { path.canonicalize().unwrap_or_default() };
     let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let lower = file.to_ascii_lowercase();
-    let ending = ENDINGS.iter().find(|ending| lower.ends_with(*ending) && lower.len() > ending.len());
+    let mut endings = masks::ENDINGS.iter().chain(&ENDINGS);
+    let ending = endings.find(|ending| lower.ends_with(*ending) && lower.len() > ending.len());
     let name = &file[..file.len() - ending.map_or(0, |ending| ending.len())];
     check(name)?;
     Ok(name.to_owned())
@@ -70,6 +51,8 @@ mod tests {
             ("patient.002.nii.gz", "patient.002"),
             ("left lung.seg.nrrd", "left lung"),
             ("CT.NRRD", "CT"),
+            ("old.hdr.gz", "old"),
+            ("cells.ome.tiff", "cells"),
             ("series/", "series"),
             ("cells.ome.zarr/", "cells"),
             ("v1.2", "v1.2"),
