@@ -9,6 +9,7 @@ use crate::batch::{self, Batch, Ending, LOGS, Row};
 use crate::folder::{CaseFolder, PAGE, STAGES};
 use crate::inputs::{self, hash_program};
 use crate::program;
+use crate::read;
 use crate::run::{Case, UNNAMED, goal_of_stage, out, problem, stage_of_goal};
 use crate::settings::Settings;
 use crate::stages::{self, Programs, Volume};
@@ -85,7 +86,11 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
             name: row.name.clone(),
             line: row.line,
             settings: BTreeMap::new(),
-            info: row.input().filter(|path| path.exists()).map(|path| info(row, path, &out, programs)),
+            // A volume that has to be converted cannot be described before its first stage.
+            info: row
+                .input()
+                .filter(|path| path.exists() && !read::is_needed(path))
+                .map(|path| info(row, path, &out, programs)),
             error: row.case.as_ref().err().map(problem),
             stages: Vec::new(),
             page: None,

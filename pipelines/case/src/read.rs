@@ -60,8 +60,10 @@ impl Converted {
 /// Converts a volume for `isoparticles-volume info`, if this is needed.
 ///
 /// # Errors
-/// If the volume cannot be converted. The program has printed the reason.
+/// If DATASET is set for a volume without named arrays, or if the volume cannot be converted. In
+/// the second case, the program has printed the reason.
 pub fn for_info(volume: &Path, settings: &Settings, programs: &Programs) -> Result<Option<Converted>> {
+    check(&Volume::At(volume.to_path_buf()), settings)?;
     if !is_needed(volume) {
         return Ok(None);
     }
