@@ -52,9 +52,10 @@ def distance_field(
         The distances between voxel centres along x, y and z, in mm. Only for arrays (default: 1)
         and for files that do not contain it.
     origin
-        The world position of the centre of the first voxel, in mm. As for ``spacing``. Default: 0.
+        The world position of the centre of the first voxel, in mm. Only for arrays, and for HDF5,
+        MATLAB and Zarr files that do not contain it. Default: 0.
     direction
-        A 3 x 3 matrix whose columns are the unit vectors of the axes. As for ``spacing``.
+        A 3 x 3 matrix whose columns are the unit vectors of the axes. As for ``origin``.
     dataset
         The array of an HDF5, MATLAB or Zarr file: a path in the file, the name of a variable, or a
         level of an OME-Zarr image. ``0:c=1`` selects channel 1 of level 0. Default: the only

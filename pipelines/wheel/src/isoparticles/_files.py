@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from isoparticles import _native
 from isoparticles._errors import Error, warn
 from isoparticles.formats import worker
+from isoparticles.formats.stored import ZARR_FILES
 
 STARTS = {
     b"\x89HDF\r\n\x1a\n": "hdf5",
@@ -31,18 +32,17 @@ STARTS = {
     b"MATLAB 7.3 MAT-file": "matlab 7.3",
 }
 """Formats by the first bytes, as in ``common/volume/src/foreign.rs``."""
-ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
 PACKAGES = {"hdf5": "h5py", "matlab": "scipy", "matlab 7.3": "h5py", "zarr": "zarr"}
 """The package that reads each format."""
 PATIENCE_SECONDS = 300.0
-"""Longest time between two messages of the process. A slab of 64 MB takes below 1 s."""
+"""Maximum time between two messages of the process. A slab of 64 MB takes below 1 s."""
 SLACK_BYTES = 1 << 30
 """Memory of the process in addition to its slabs. Zarr takes 0.3 GB with 32 threads."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Functions of the program that reads a file."""
+    """Callbacks of the program that reads a file."""
 
     check_memory: Callable[[int], None] = lambda _: None
     """Refuses a number of bytes that exceeds a limit of the user."""
@@ -116,7 +116,7 @@ def opened(
 
 
 def _warnings(path: str, found: dict[str, Any], given: Given) -> list[str]:
-    """Return the warnings about the spacing, which do not matter if the caller gives one."""
+    """Return the warnings about the spacing; there are none if the caller gives the spacing."""
     if given.spacing is not None:
         return []
     missing = (

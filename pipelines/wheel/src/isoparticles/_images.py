@@ -15,14 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from isoparticles import _native
 from isoparticles._errors import Error
 from isoparticles._files import Given, Limits, format_of, opened
+from isoparticles.formats.stored import CONVERTED, NUMBERS, type_name
 
 Image = Any
 """A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to
 masks, each one of these."""
 
-TYPES = {"bool": "uint8", "float16": "float32"}
-"""Types that are converted. The other types are read as they are."""
-READ = frozenset(("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"))
 UNITS_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}
 """Lengths of the units of nibabel. An unknown unit counts as mm."""
 SPACING_MM = (1e-9, 1e6)
@@ -81,10 +79,13 @@ def source(
     if isinstance(image, (str, os.PathLike)) and named == ["spacing"]:
         numbers = _told(_three("spacing", spacing, 1.0))
         return Source(os.fsdecode(image), is_file=True, words=("--spacing", ",".join(map(repr, numbers))))
+    if isinstance(image, (str, os.PathLike)) and not named:
+        return Source(os.fsdecode(image), is_file=True)
+    if isinstance(image, (str, os.PathLike)):
+        wrong = ", ".join(name for name in named if name != "spacing")
+        raise TypeError(f"{wrong}: only for arrays, and for HDF5, MATLAB and Zarr files")
     if named:
         raise TypeError(f"{', '.join(named)}: only for arrays; this image has a geometry of its own")
-    if isinstance(image, (str, os.PathLike)):
-        return Source(os.fsdecode(image), is_file=True)
     if package == "SimpleITK":
         return _of_simpleitk(image)
     if package == "nibabel":
@@ -186,9 +187,8 @@ def _volume(
     """
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError("masked arrays are not supported: use array.filled(value)")
-    name = array.dtype.newbyteorder("=").name
-    name = TYPES.get(name, name)
-    if name not in READ:
+    name = CONVERTED.get(type_name(array), type_name(array))
+    if name not in NUMBERS:
         raise TypeError(f"arrays of {array.dtype} are not supported: use numbers of at most 64 bits, or booleans")
     if array.ndim != 3:
         raise ValueError(f"the array must have three axes (x, y, z), but its shape is {array.shape}")

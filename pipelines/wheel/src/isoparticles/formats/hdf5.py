@@ -30,7 +30,7 @@ def read_hdf5(path: Path, dataset: str | None) -> Stored:
     if "minc-2.0" in file:
         raise Error(
             f"{path}: is a MINC file",
-            "its grid is described in a way that is not read",
+            "its description of the grid is not supported",
             "convert it, for example with mnc2nii",
         )
     array = _array(path, file, name)

@@ -11,10 +11,8 @@ import zarr
 from numpy.typing import NDArray
 
 from isoparticles._errors import Error
-from isoparticles.formats.stored import Place, Stored, axes_of, is_volume, refuse_name, split_name
+from isoparticles.formats.stored import ZARR_FILES, Place, Stored, axes_of, is_volume, refuse_name, split_name
 
-NODE_FILES = ("zarr.json", ".zarray", ".zgroup")
-"""Each array and each group of Zarr contains one of these files."""
 UNITS_MM = {
     **dict.fromkeys(("angstrom", "angstroms"), 1e-7),
     **dict.fromkeys(("nanometer", "nanometers", "nm"), 1e-6),
@@ -63,7 +61,7 @@ def read_zarr(path: Path, dataset: str | None) -> Stored:
 
 
 def _is_node(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in NODE_FILES)
+    return any((folder / name).is_file() for name in ZARR_FILES)
 
 
 def _is_array(folder: Path) -> bool:
@@ -71,7 +69,7 @@ def _is_array(folder: Path) -> bool:
 
 
 def _attributes(folder: Path) -> Mapping[str, Any]:
-    """Return the attributes of a group; those of OME stand below ``ome`` in Zarr 3."""
+    """Return the attributes of a group. In Zarr 3, those of OME are in the entry ``ome``."""
     node = zarr.open(str(folder), mode="r")
     attributes = node.attrs.asdict()
     own = attributes.get("ome", attributes)
@@ -81,7 +79,8 @@ def _attributes(folder: Path) -> Mapping[str, Any]:
 def _level(node: Path) -> tuple[Path, Mapping[str, Any], str] | None:
     """Return the image of a level: its group, its metadata, and the path of the level in the group.
 
-    The group is ``node`` itself, which stands for its first level, or one of its parents.
+    If ``node`` is the group, the level is its first one. Otherwise, the group is a parent of
+    ``node``.
     """
     for group in (node, *node.parents):
         if not _is_node(group):
@@ -135,7 +134,7 @@ def _of_image(
     if not isinstance(axes, list) or not all(isinstance(axis, dict) for axis in axes):
         raise Error(
             f"{group}: is OME-Zarr of the version {image.get('version', 'unknown')}",
-            "only the versions 0.4 and 0.5 describe their axes in a way that is read",
+            "only the versions 0.4 and 0.5 are supported",
             "convert it, for example with ngff-zarr",
         )
     labels = _axis_names(axes)
@@ -230,7 +229,7 @@ def _orientation(axes: Sequence[Mapping[str, Any]], labels: Sequence[str]) -> di
 
 
 def _names(group: Path) -> dict[int, str]:
-    """Return the names of labels; names that several labels share are left out."""
+    """Return the names of labels, except names that several labels share."""
     label = _attributes(group).get("image-label") or {}
     pairs = list(_named(label.get("properties") or []))
     texts = [name for _, name in pairs]

@@ -19,6 +19,8 @@ SLAB_BYTES = 1 << 26
 NUMBERS = frozenset(("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"))
 CONVERTED = {"bool": "uint8", "float16": "float32"}
 """Types that the stages do not read, and the types to which they are converted."""
+ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
+"""Each array and each group of Zarr contains one of these files."""
 MOST_LISTED = 10
 """Maximum number of names in a message."""
 SUFFIX = re.compile(r"(?P<name>.*?):(?P<indices>\w+=\d+(,\w+=\d+)*)")
