@@ -1,5 +1,5 @@
-//! The options that say which volume is read and which part of it, at which resolution.
-//! `distfield`, `isoparticles-volume` and the Python package share them.
+//! Options for the volume to read, the part of it to keep, and the resolution. `distfield`,
+//! `isoparticles-volume` and the Python package share them.
 
 use crate::kind::{Kind, judge};
 use crate::survey::Survey;
@@ -94,8 +94,8 @@ impl InputArgs {
     }
 
     /// Reads the volume, as an input of the run, and crops and downsamples it. Prints the remarks
-    /// of the reader. `kind` decides how blocks of voxels are joined; if it is `None`, the values
-    /// do.
+    /// of the reader. `kind` determines how blocks of voxels are joined. If it is `None`, it is
+    /// detected from the values.
     ///
     /// # Errors
     /// If the volume or the mask cannot be read, or if too few voxels would be left.

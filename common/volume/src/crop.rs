@@ -1,5 +1,5 @@
-//! The region of a volume to keep, as a user describes it: a box in world coordinates, a box of
-//! voxels, or the bounding box of a mask.
+//! Parses the region of a volume to keep, and finds it in the volume. It is a box in world
+//! coordinates, a box of voxels, or the bounding box of a mask.
 //!
 //! The kept voxels form a box of the grid. It is the smallest one that contains every voxel whose
 //! centre lies in the region. If the grid is parallel to the world axes, these are all its voxels.
@@ -106,7 +106,7 @@ impl Crop {
         }
     }
 
-    /// Returns the box of voxels to keep. Messages call the volume by `path`.
+    /// Returns the box of voxels to keep. `path` names the volume in messages.
     ///
     /// # Errors
     /// If the mask cannot be read, is empty or belongs to another space, if no voxel centre lies in

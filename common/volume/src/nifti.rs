@@ -2,7 +2,7 @@
 //! predecessor Analyze 7.5: `.nii`, `.nii.gz`, and pairs of `.hdr` and `.img` files. The RAS world
 //! frame of NIfTI is converted to LPS.
 //!
-//! Analyze 7.5 does not say which side is left. Its axes are read as nibabel and SPM read them:
+//! Analyze 7.5 does not define which side is left. Its axes are read as nibabel and SPM read them:
 //! x runs from right to left, y from posterior to anterior, z from inferior to superior. The space
 //! is unnamed, because this is an assumption.
 

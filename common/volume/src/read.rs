@@ -155,7 +155,7 @@ fn start(path: &Path) -> Result<Vec<u8>> {
 /// Returns the first bytes of a gzip-compressed file, or fewer if they cannot be decompressed.
 fn decompressed_start(path: &Path) -> Vec<u8> {
     let mut start = Vec::new();
-    // what was read before an error is kept
+    // the bytes before an error are kept
     voxel_data::open(path).and_then(|stream| stream.take(START_BYTES).read_to_end(&mut start)).ok();
     start
 }

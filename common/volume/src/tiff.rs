@@ -1,5 +1,6 @@
 //! Reads TIFF stacks: one file with a page per slice, or a folder of files with one page each.
-//! BigTIFF, strips and tiles; uncompressed, LZW, deflate and PackBits; one number per pixel.
+//! Supports BigTIFF, strips and tiles with one number per pixel, uncompressed or compressed by LZW,
+//! deflate or PackBits.
 //!
 //! The values are those in the file, as in ImageJ, tifffile and ITK: a palette and an inverted gray
 //! scale (`WhiteIsZero`) only affect how pixels are shown. Rows run along x and start at the top,

@@ -38,7 +38,7 @@ pub fn crop_mask(settings: &Settings) -> Option<PathBuf> {
     settings.get("CROP")?.parse().ok().and_then(|crop: Crop| crop.mask().map(Path::to_path_buf))
 }
 
-/// Returns a volume and its data files, in these two roles.
+/// Returns a volume and its data files. `roles` are the roles of the volume and of its data files.
 fn with_data(volume: &Path, roles: [&str; 2], before: Option<&Status>) -> Result<Vec<Input>> {
     let mut inputs = vec![input(roles[0], volume, before)?];
     if volume.is_file() {

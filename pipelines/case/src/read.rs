@@ -1,5 +1,5 @@
 //! The stage `read`, which converts volumes in formats that the other stages do not read: HDF5,
-//! MATLAB and Zarr. The program is written in Python and stands beside `tetmesh-check`.
+//! MATLAB and Zarr. The program is written in Python and is in the folder of `tetmesh-check`.
 
 use crate::program::{self, Ended};
 use crate::settings::Settings;

@@ -210,7 +210,7 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
-/// Options that say how the volume is read, each with the key that sets it.
+/// Options for reading the volume, each with the key that sets it.
 pub const READING_BY_KEY: [(&str, &str); 4] =
     [("--series", "SERIES"), ("--spacing", "SPACING"), ("--crop", "CROP"), ("--downsample", "DOWNSAMPLE")];
 

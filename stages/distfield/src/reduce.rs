@@ -1,5 +1,5 @@
-//! Crops and downsamples the input, and reports what this does to the object: the voxels that are
-//! cut away, the contact with the new border, and the change in volume.
+//! Crops and downsamples the input, and reports the effect on the object: the voxels that are cut
+//! away, the contact with the new border, and the change in volume.
 
 use crate::Inside;
 use crate::args::Args;
@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 /// Maximum number of parts in the table at the end of a run. The report contains all of them.
 const MOST_ROWS: usize = 12;
 
-/// Crops the volume, checks its kind, and downsamples it, as the options say.
+/// Crops the volume, checks its kind, and downsamples it, according to the options.
 ///
 /// # Errors
 /// If too few voxels would be left, or if the kind of the volume does not match the options.
@@ -196,7 +196,7 @@ impl Parts {
     }
 }
 
-/// What cropping does to the object, in voxels.
+/// Effect of cropping on the object, in voxels.
 struct Cut {
     /// Voxels of the object in the whole volume.
     all: usize,

@@ -8,9 +8,9 @@ use dicom_object::Tag;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// From what one volume is made: a segmentation, a structure set, or the slices of one series that
-/// have the same SOP class. If the frames of a series differ along a dimension such as time, each
-/// part of the series is a group.
+/// The contents that form one volume: a segmentation, a structure set, or the slices of one series
+/// that have the same SOP class. If the frames of a series differ along a dimension such as time,
+/// each part of the series is a group.
 pub(super) struct Group {
     pub(super) class: String,
     pub(super) series: SeriesName,

@@ -21,7 +21,7 @@ pub(super) struct Picture {
     pub(super) content: Result<Content>,
 }
 
-/// From what a volume is made.
+/// The contents of a file that form a volume or a part of one.
 #[derive(Debug)]
 pub(super) enum Content {
     /// Frames of a scan, which may belong to a volume with those of other files.

@@ -18,9 +18,9 @@ pub(super) struct Planes {
 
 impl Planes {
     /// Finds the planes at `places`, which are positions along a normal in mm. Places closer than
-    /// `tolerance` are one plane. The spacing is, up to rounding, the first of these of which all
-    /// distances are multiples: `declared`, the smallest distance, and `thickness`. Returns `None`
-    /// if there is none.
+    /// `tolerance` are one plane. The candidates for the spacing are `declared`, the smallest
+    /// distance and `thickness`, in this order. The first one is used that divides all distances,
+    /// up to rounding. Returns `None` if none does.
     pub(super) fn new(
         mut places: Vec<f64>,
         tolerance: f64,

@@ -99,8 +99,8 @@ impl Structures {
         self.objects.iter().flat_map(|object| &object.contours)
     }
 
-    /// Returns whether the contours name a series, or `None` if it is not even in their frame of
-    /// reference.
+    /// Returns whether the contours name a series, or `None` if they do not and it has another
+    /// frame of reference.
     pub(super) fn rank(&self, series: &SeriesName) -> Option<bool> {
         let is_named = self.series.contains(&series.uid);
         (is_named || self.frames_of_reference.contains(&series.frame_of_reference)).then_some(is_named)

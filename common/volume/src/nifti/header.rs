@@ -1,5 +1,5 @@
-//! Parses the headers of NIfTI-1, NIfTI-2 and Analyze 7.5. The fields of Analyze are those of
-//! NIfTI-1, as far as it has them.
+//! Parses the headers of NIfTI-1, NIfTI-2 and Analyze 7.5. Analyze has a subset of the fields of
+//! NIfTI-1.
 
 use crate::error::{Result, bad};
 use crate::voxels::Endian;

@@ -26,16 +26,16 @@ pub(super) enum Spacing {
     Missing,
     /// Along x and y only.
     InPlane([f64; 2]),
-    /// ImageJ does not write a distance of slices of one unit, which is also its default.
+    /// Without a slice distance, for which ImageJ assumes one unit.
     WithAssumedZ(DVec3),
     Complete(DVec3),
 }
 
-/// What the metadata of a file say about its pages.
+/// The metadata of the pages of a file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Metadata {
     pub(super) spacing: Spacing,
-    /// Number of slices. Up to 1 for a file that is one of several slices.
+    /// Number of slices, or 0 or 1 if the file contains one slice of several.
     pub(super) slices: usize,
     /// Sizes of the axes other than x, y and z, with their names.
     axes: Vec<(&'static str, usize)>,
@@ -206,7 +206,7 @@ pub(super) fn spacing(path: &Path, metadata: &Metadata, given: Option<DVec3>) ->
         }
         (Spacing::WithAssumedZ(found), None) => {
             remarks.push(format!(
-                "the file has no distance of slices; as in ImageJ, one unit is assumed, which gives {}",
+                "the file has no slice distance; as in ImageJ, one unit is assumed, which gives {}",
                 shown(found)
             ));
             found

@@ -112,7 +112,7 @@ def read_scan(path: Path, labels: bool, reading: dict[str, Any]) -> Scan:
     labels
         Whether it holds labels.
     reading
-        The parameters of ``distfield``. Those that say how the volume was read are used.
+        The parameters of ``distfield``. Only those about reading the volume are used.
 
     Raises
     ------
