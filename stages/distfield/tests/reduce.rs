@@ -1,5 +1,5 @@
 //! Tests `--crop` and `--downsample`: the result equals that of a volume that was cropped or
-//! downsampled beforehand, and the report names what this does to the object.
+//! downsampled beforehand, and the report gives the effect on the object.
 
 use glam::{DMat3, DQuat, DVec3};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};

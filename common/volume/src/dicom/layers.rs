@@ -1,4 +1,4 @@
-//! Label layers of segments. A segment that overlaps others goes to a further layer, so every
+//! Label layers of segments. A segment that overlaps others goes to another layer, so every
 //! segment keeps all its voxels.
 
 use crate::error::{Result, bad};

@@ -118,7 +118,7 @@ impl<'a> Source<'a> {
     /// fill.
     fn read(&mut self, at: u64, count: u64) -> Result<Vec<u8>> {
         if at.checked_add(count).is_none_or(|end| end > self.length) {
-            return Err(self.damaged("a directory or its values lie behind the end of the file"));
+            return Err(self.damaged("a directory or its values lie beyond the end of the file"));
         }
         let mut bytes = vec![0; count as usize];
         let read = self.file.seek(SeekFrom::Start(at)).and_then(|_| self.file.read_exact(&mut bytes));

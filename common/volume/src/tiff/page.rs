@@ -181,7 +181,7 @@ impl Page {
             // some programs write wrong lengths of uncompressed strips
             let bytes = if is_plain { needed } else { counts[chunk] };
             if offsets[chunk].checked_add(bytes).is_none_or(|end| end > length) {
-                return Err(format!("strip or tile {chunk} lies behind the end of the file, which is truncated"));
+                return Err(format!("strip or tile {chunk} lies beyond the end of the file, which is truncated"));
             }
             if needed > self.compression.most_bytes(bytes) {
                 return Err(format!("strip or tile {chunk} of {bytes} bytes cannot contain {needed} bytes of pixels"));
