@@ -10,7 +10,7 @@ import contextlib
 import io
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -101,8 +101,8 @@ class Written:
     """The number of the mask in the file, or its name if the file has names."""
     array: str | None = None
     """If the Python package reads the file: the name of the array in it."""
-    is_exact: bool = True
-    """False if the format does not store voxels, and the program rounds to those of its grid."""
+    drawn: Ball | None = None
+    """The ball, if the file contains its contours instead of voxels."""
 
 
 @dataclass(frozen=True)
@@ -392,8 +392,7 @@ for kind_of_seg in ("BINARY", "FRACTIONAL", "LABELMAP"):
 def rtstruct(folder: Path, ball: Ball, _: str) -> Written:
     """Write the circles in which the slices of a CT cut the ball, as a planning program does.
 
-    A voxel centre is inside a circle if and only if it is inside the ball, so the mesh is that of
-    the mask: 720 corners deviate from the circle by at most 0.13 um.
+    The mesh is not exactly that of the mask: centres within 0.01 voxel of a contour are inside.
     """
     slices = dicom_slices(folder / "ct", ball, "scan")
     first = pydicom.dcmread(slices[0])
@@ -435,17 +434,21 @@ def rtstruct(folder: Path, ball: Ball, _: str) -> Written:
     )
     file.RTROIObservationsSequence = sequence(ObservationNumber=1, ReferencedROINumber=1, RTROIInterpretedType="ORGAN")
     dicom_file(folder / "ct" / "rtstruct.dcm", file)
-    return Written(folder / "ct" / "rtstruct.dcm", ball.lps, label=NAME)
+    return Written(folder / "ct" / "rtstruct.dcm", ball.lps, label=NAME, drawn=ball)
 
 
 @writes("DICOM RTSTRUCT, pixel outlines", "rt-utils", "mask")
 def rtstruct_of_mask(folder: Path, ball: Ball, kind: str) -> Written:
-    """Write outlines of a mask, which pass through the centres of its outermost pixels."""
+    """Write outlines of a mask, which pass through the centres of its outermost pixels.
+
+    The slices are square: of others, rt-utils exchanges rows and columns.
+    """
+    ball = replace(ball, size=(40, 40, 32), spacing=(1.0, 1.0, 1.3))
     dicom_slices(folder / "ct", ball, "scan")
     file = rt_utils.RTStructBuilder.create_new(dicom_series_path=str(folder / "ct"))
     file.add_roi(mask=ball.array(kind).transpose(1, 0, 2).astype(bool), name=NAME)
     file.save(str(folder / "ct" / "rtstruct"))
-    return Written(folder / "ct" / "rtstruct.dcm", ball.lps, label=NAME, is_exact=False)
+    return Written(folder / "ct" / "rtstruct.dcm", ball.lps, label=NAME, drawn=ball)
 
 
 @writes("TIFF, ImageJ hyperstack", "tifffile")
