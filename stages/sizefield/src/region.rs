@@ -132,25 +132,36 @@ fn extent_told(geometry: &Geometry) -> String {
     format!("{} mm", [0, 1, 2].map(range).join(", "))
 }
 
-/// Returns the nodes whose nearest voxel in the mask is not zero, and the nodes around the centres
+/// Returns the nodes whose nearest voxel is not zero in a layer of the mask, and the nodes around the centres
 /// of all nonzero voxels. The latter are needed because mask voxels may be smaller than the cells
 /// of the grid.
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
-    let (mask, place) = (volume.voxels.to_f32(), volume.geometry.in_space(geometry.space));
-    let is_set = |value: f32| value != 0.0 && value.is_finite();
+    let place = volume.geometry.clone().in_space(geometry.space);
+    if place.space != geometry.space {
+        return Err(Error::input(
+            format!("{}: is not in the same space as F", file.display()),
+            "one of them specifies an anatomical space and the other does not, so their positions cannot be compared",
+            "write the mask in the frame of the volume, or give balls",
+        ));
+    }
+    let mut mask = vec![false; volume.voxels.len()];
+    for layer in volume.layers() {
+        let values = layer.to_f32();
+        mask.par_iter_mut().zip(values).for_each(|(set, value)| *set |= value != 0.0 && value.is_finite());
+    }
     let mut nodes: Vec<usize> = (0..geometry.voxel_count())
         .into_par_iter()
         .filter(|&n| {
             let index =
                 place.grid_to_index(place.world_to_grid(geometry.grid_to_world(geometry.node_to_grid(n)))).round();
             let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] < place.size[a] as f64);
-            is_within && is_set(mask[place.linear(index.x as usize, index.y as usize, index.z as usize)])
+            is_within && mask[place.linear(index.x as usize, index.y as usize, index.z as usize)]
         })
         .collect();
     let own: Vec<usize> = (0..mask.len())
         .into_par_iter()
-        .filter(|&n| is_set(mask[n]))
+        .filter(|&n| mask[n])
         .flat_map_iter(|n| nodes_around(geometry, geometry.world_to_grid(place.grid_to_world(place.node_to_grid(n)))))
         .collect();
     nodes.extend(own);
@@ -216,7 +227,7 @@ mod tests {
     use isoparticles_mesh::TriangleMesh;
     use isoparticles_mesh::surface::{DataArray, Surface, write_surface};
     use isoparticles_stage::field_file::{Field, FieldKind};
-    use isoparticles_volume::{Image, Space};
+    use isoparticles_volume::{Image, Space, Volume, Voxels, write_volume};
 
     #[test]
     fn text_is_read_or_refused_with_the_form() {
@@ -233,6 +244,20 @@ mod tests {
         for wrong in ["ball:1,2,3,0=1", "ball:1,2,3,4=-1", "mask:a.nrrd=0"] {
             assert!(wrong.parse::<Refinement>().unwrap_err().contains("above 0"), "{wrong}");
         }
+    }
+
+    #[test]
+    fn masks_count_in_all_layers_and_in_the_same_space_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("mask.vti");
+        let voxels = |set: usize| Voxels::U8((0..27).map(|n| u8::from(n == set)).collect());
+        let mut volume = Volume::new(Geometry::axis_aligned([3, 3, 3], DVec3::ONE), voxels(0));
+        volume.more_layers.push(voxels(26));
+        write_volume(&file, &volume, &Context::silent("distfield").history()).unwrap();
+        let mask = Refinement::Mask { file, size: 0.5 };
+        assert_eq!(mask.nodes(&volume.geometry).unwrap(), [(0, 0.5), (26, 0.5)]);
+        let anatomical = Geometry { space: Space::Lps, ..volume.geometry };
+        assert!(mask.nodes(&anatomical).unwrap_err().what.contains("not in the same space"));
     }
 
     #[test]
