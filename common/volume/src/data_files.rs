@@ -3,14 +3,15 @@
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
-use crate::{meta_image, nifti, nrrd};
+use crate::{dicom, meta_image, nifti, nrrd};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 /// Returns the additional files of a volume. For a detached NRRD or MetaImage header, the list
 /// contains the voxel files, in order. For one file of a NIfTI pair, it contains the other file.
-/// For any other file, it is empty.
+/// For DICOM contours, it contains the other DICOM files in the folder. For any other file, it is
+/// empty.
 ///
 /// # Errors
 /// If the header cannot be read.
@@ -25,6 +26,8 @@ pub fn data_files(path: &Path) -> Result<Vec<PathBuf>> {
         nrrd::data_files(path, &mut reader)?
     } else if meta_image::is_meta_image(start) {
         meta_image::data_files(path, &mut reader)?
+    } else if dicom::is_dicom(start) {
+        return dicom::data_files(path);
     } else {
         DataFiles::Attached
     };

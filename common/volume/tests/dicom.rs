@@ -3,7 +3,9 @@
 //! `tests/data/make_dicom_objects.py`.
 
 use glam::DVec3;
-use isoparticles_volume::{Error, Geometry, LayerLabel, ReadOptions, Volume, read_volume, read_volume_with};
+use isoparticles_volume::{
+    Error, Geometry, LayerLabel, ReadOptions, Volume, data_files, read_volume, read_volume_with,
+};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -212,6 +214,9 @@ fn contours_without_slices_get_a_grid_of_their_own() {
         let count = |volume: &Volume, at| volume.label_mask(&[at]).iter().filter(|&&inside| inside).count();
         assert_eq!(count(&given, at), count(&structures, segment.at), "{}", segment.name);
     }
+    // the slices beside the contours determine the grid, so they are files of the volume as well
+    assert_eq!(data_files(&data("structures/rs.dcm")).expect("read").len(), 5);
+    assert_eq!(data_files(&data("seg.dcm")).expect("read").len(), 0);
     // a grid that no memory can hold is refused before the contours are drawn on it
     let tiny = ReadOptions { spacing: Some(DVec3::splat(2e-9)), ..ReadOptions::default() };
     read_volume_with(&data("contours/alone.dcm"), &tiny).expect_err("too many pixels");

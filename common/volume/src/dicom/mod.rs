@@ -105,7 +105,9 @@ pub(crate) fn read_file(path: &Path, wanted: Option<&str>, spacing: Option<DVec3
             without_spacing(path, spacing)?;
             segmentation.read()
         }
-        Content::Structures(structures) => read_structures(&structures, beside(path)?, spacing),
+        Content::Structures(structures) => {
+            read_structures(&structures, Files::read(&files_beside(path))?.groups, spacing)
+        }
     }
 }
 
@@ -132,15 +134,27 @@ impl Files {
     }
 }
 
-/// Returns the groups in the folder of a file.
-fn beside(path: &Path) -> Result<Vec<Group>> {
+/// Returns the files in the same folder that determine the grid of contours. For a file without
+/// contours, there are none.
+///
+/// # Errors
+/// If the file cannot be read.
+pub(crate) fn data_files(path: &Path) -> Result<Vec<PathBuf>> {
+    match Picture::read(path)? {
+        Found::Image(picture) if matches!(picture.content, Ok(Content::Structures(_))) => Ok(files_beside(path)),
+        _ => Ok(Vec::new()),
+    }
+}
+
+/// Returns the other DICOM files in the folder of a file.
+fn files_beside(path: &Path) -> Vec<PathBuf> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let entries = std::fs::read_dir(folder).map(|entries| entries.flatten().map(|entry| entry.path()));
     let mut files: Vec<PathBuf> =
         entries.into_iter().flatten().filter(|other| other.is_file() && is_dicom_file(other)).collect();
     files.sort();
     files.retain(|other| other.file_name() != path.file_name());
-    Files::read(&files).map(|files| files.groups)
+    files
 }
 
 /// Reads slices. A file of another series does not matter if it cannot be read. If the series of
