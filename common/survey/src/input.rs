@@ -20,7 +20,8 @@ pub struct InputArgs {
     /// slices, of TIFF slices or of masks, one file per object
     #[arg(value_name = "VOLUME", help_heading = FILES)]
     pub path: PathBuf,
-    /// Series to read if the folder contains several, given by its description, number or UID
+    /// Series to read if a DICOM folder contains several, or part of a multi-frame file, given by
+    /// its description, number or UID
     #[arg(long, value_name = "NAME", help_heading = FILES)]
     pub series: Option<String>,
     /// Distance between voxel centres along the axes, mm, for a file that does not contain it: one

@@ -106,9 +106,9 @@ pub struct Args {
     #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
     /// World frame of the output, which later stages keep: lps (left, posterior, superior), ras
-    /// (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI and RAS
-    /// NRRD, LPS for DICOM and MetaImage. A volume without an anatomical space keeps its
-    /// coordinates
+    /// (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI,
+    /// FreeSurfer and RAS NRRD, LPS for DICOM and MetaImage. A volume without an anatomical space
+    /// keeps its coordinates
     #[arg(long, value_enum, value_name = "FRAME", default_value_t = SpaceChoice::Lps, help_heading = METHOD)]
     pub space: SpaceChoice,
     /// The options of the scale.

@@ -49,8 +49,8 @@ def distance_field(
         and z; an image of SimpleITK, nibabel or PyVista; or a mapping from names to masks, each one
         of these. HDF5, MATLAB and Zarr files need the extra ``formats``.
     spacing
-        The distances between voxel centres along x, y and z, in mm. Only for arrays (default: 1)
-        and for files that do not contain it.
+        The distances between voxel centres along x, y and z, in mm, or one number for all. Only for
+        arrays (default: 1) and for files that do not contain it.
     origin
         The world position of the centre of the first voxel, in mm. Only for arrays, and for HDF5,
         MATLAB and Zarr files that do not contain it. Default: 0.

@@ -231,6 +231,8 @@ def _three(name: str, given: ArrayLike | None, default: float) -> NDArray[Any]:
     if given is None:
         return np.full(3, default)
     numbers = _numbers(name, given)
+    if name == "spacing" and numbers.shape in ((), (1,)):
+        numbers = np.full(3, numbers)
     if numbers.shape != (3,):
         raise ValueError(f"{name} must have three numbers (mm), but its shape is {numbers.shape}")
     if name == "spacing" and not np.all(numbers > 0):

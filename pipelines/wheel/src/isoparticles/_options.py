@@ -16,7 +16,8 @@ Sizes = str | Iterable[str] | Mapping[str, float] | Mapping[Pair, float] | Mappi
 class DistfieldOptions(TypedDict, total=False):
     """The options of :func:`isoparticles.distance_field`."""
 
-    #: Series to read if the folder contains several, given by its description, number or UID.
+    #: Series to read if a DICOM folder contains several, or part of a multi-frame file, given by
+    #: its description, number or UID.
     series: str
     #: Region to keep: mm:x0..x1,y0..y1,z0..z1 is a box in world coordinates, and
     #: voxels:i0..i1,j0..j1,k0..k1 contains the numbers of the first and last voxel, from 0.
@@ -61,8 +62,8 @@ class DistfieldOptions(TypedDict, total=False):
     #: of the minimum voxel spacing, 0.01 to 0.15. Default: 0.05.
     clearance: float
     #: World frame of the output, which later stages keep: lps (left, posterior, superior), ras
-    #: (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI and RAS
-    #: NRRD, LPS for DICOM and MetaImage. Default: lps.
+    #: (right, anterior, superior), or scanner, the frame of the input file: RAS for NIfTI,
+    #: FreeSurfer and RAS NRRD, LPS for DICOM and MetaImage. Default: lps.
     space: Literal["lps", "ras", "scanner"]
     #: Smooth away details smaller than this length, mm. Default: 0.
     scale: float
