@@ -21,8 +21,8 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Endings of the names of mask files. A mask has the name of its file without the ending. The first
-/// match counts, so `.seg.nrrd` comes before `.nrrd`.
+/// Endings of the names of mask files. A mask has the name of its file without the ending. The
+/// first match counts, so `.seg.nrrd` comes before `.nrrd`.
 pub const ENDINGS: [&str; 12] =
     [".nii.gz", ".nii", ".hdr.gz", ".hdr", ".mgz", ".mgh", ".seg.nrrd", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti"];
 

@@ -132,9 +132,9 @@ fn extent_told(geometry: &Geometry) -> String {
     format!("{} mm", [0, 1, 2].map(range).join(", "))
 }
 
-/// Returns the nodes whose nearest voxel is not zero in a layer of the mask, and the nodes around the centres
-/// of all nonzero voxels. The latter are needed because mask voxels may be smaller than the cells
-/// of the grid.
+/// Returns the nodes whose nearest voxel is not zero in a layer of the mask, and the nodes around
+/// the centres of all nonzero voxels. The latter are needed because mask voxels may be smaller than
+/// the cells of the grid.
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
     let place = volume.geometry.clone().in_space(geometry.space);
