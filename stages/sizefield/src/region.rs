@@ -255,7 +255,8 @@ mod tests {
         volume.more_layers.push(voxels(26));
         write_volume(&file, &volume, &Context::silent("distfield").history()).unwrap();
         let mask = Refinement::Mask { file, size: 0.5 };
-        assert_eq!(mask.nodes(&volume.geometry).unwrap(), [(0, 0.5), (26, 0.5)]);
+        let nodes = mask.nodes(&volume.geometry).unwrap();
+        assert!(nodes.contains(&(0, 0.5)) && nodes.contains(&(26, 0.5)), "{nodes:?}");
         let anatomical = Geometry { space: Space::Lps, ..volume.geometry };
         assert!(mask.nodes(&anatomical).unwrap_err().what.contains("not in the same space"));
     }
