@@ -5,7 +5,7 @@
 //! centre lies in the region. If the grid is parallel to the world axes, these are all its voxels.
 
 use crate::error::{Error, Result, bad};
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, INDEX_TOLERANCE};
 use crate::read::read_volume;
 use crate::voxel_box::VoxelBox;
 use glam::DVec3;
@@ -13,11 +13,6 @@ use rayon::prelude::*;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-
-/// Tolerance for centres on the border of a region, in voxels, as in [`Geometry::holds`]. Headers
-/// with single-precision numbers place the voxels of a grid 300 mm from the origin with an error of
-/// 3e-5 mm, which is 6e-4 voxels of 0.05 mm.
-const TOLERANCE: f64 = 1e-3;
 
 /// Prefix of a box in world coordinates.
 const WORLD: &str = "mm:";
@@ -152,14 +147,14 @@ impl Crop {
 /// Returns the voxels between two corners in the index frame.
 fn within_indices(size: [usize; 3], [low, high]: [DVec3; 2]) -> Option<VoxelBox> {
     let last = DVec3::from_array(size.map(|n| n as f64 - 1.0));
-    let (low, high) = ((low - TOLERANCE).ceil().max(DVec3::ZERO), (high + TOLERANCE).floor().min(last));
+    let (low, high) = ((low - INDEX_TOLERANCE).ceil().max(DVec3::ZERO), (high + INDEX_TOLERANCE).floor().min(last));
     let whole = |corner: DVec3| corner.to_array().map(|index| index as usize);
     low.cmple(high).all().then(|| VoxelBox { low: whole(low), high: whole(high) })
 }
 
 /// Returns the bounding box of the voxels whose centres lie in a box in the world frame.
 fn within_world(geometry: &Geometry, [low, high]: [DVec3; 2]) -> Option<VoxelBox> {
-    let tolerance = TOLERANCE * geometry.min_spacing();
+    let tolerance = INDEX_TOLERANCE * geometry.min_spacing();
     let (low, high) = (low - tolerance, high + tolerance);
     let step = geometry.directions.x_axis * geometry.spacing.x;
     let [nx, ny, _] = geometry.size;

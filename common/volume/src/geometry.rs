@@ -11,6 +11,11 @@
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
+/// Index positions that differ by less than this are the same. Headers with single-precision
+/// numbers place voxels up to 300 mm from the origin with an error of 3e-5 mm, which is 6e-4 voxels
+/// of 0.05 mm.
+pub(crate) const INDEX_TOLERANCE: f64 = 1e-3;
+
 /// The world frame in which the directions and origin of a volume are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Space {
@@ -114,7 +119,7 @@ impl Geometry {
     #[inline(always)]
     pub fn holds(&self, grid: DVec3) -> bool {
         let index = self.grid_to_index(grid);
-        (0..3).all(|axis| (-1e-3..=self.size[axis] as f64 - 0.999).contains(&index[axis]))
+        (0..3).all(|axis| (-INDEX_TOLERANCE..=self.size[axis] as f64 - 1.0 + INDEX_TOLERANCE).contains(&index[axis]))
     }
 
     /// Converts a grid position to a world position.

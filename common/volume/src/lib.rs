@@ -31,6 +31,7 @@ mod error;
 mod foreign;
 mod geometry;
 mod image;
+mod layers;
 mod limit;
 pub mod masks;
 mod meta_image;

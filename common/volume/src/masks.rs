@@ -9,11 +9,10 @@
 //! contains several voxel centres of a mask: only if the mask is finer along one axis.
 
 use crate::error::{Result, bad};
-use crate::geometry::{Geometry, Space};
-use crate::limit::voxel_count;
-use crate::segments::{LayerLabel, Segment};
+use crate::geometry::{Geometry, INDEX_TOLERANCE, Space};
+use crate::layers::{Label, Layers, Part};
 use crate::volume::Volume;
-use crate::voxels::{ScalarType, Voxels};
+use crate::voxels::Voxels;
 use glam::{DMat3, DVec3};
 use isoparticles_file::history::file_name;
 use isoparticles_file::limit::check_memory;
@@ -32,10 +31,6 @@ const MOST_MASKS: usize = u8::MAX as usize;
 /// Smallest value of a voxel inside a mask, relative to the maximum. For probabilities, such a
 /// voxel is at least as likely inside as outside.
 pub(crate) const INSIDE: f64 = 0.5;
-
-/// Index positions that differ by less than this are the same. NIfTI headers store positions of up
-/// to 1000 mm with rounding errors of 3e-5 mm; this is 1e-3 of a voxel of 0.03 mm.
-const TOLERANCE: f64 = 1e-3;
 
 /// Returns the name of a mask, or `None` if a file with this name is not read as a mask.
 pub(crate) fn mask_name(path: &Path) -> Option<String> {
@@ -67,7 +62,7 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
         drop(masks);
         masks = Masks::read(files, read, Some(&grid))?;
     }
-    Ok(masks.join(grid))
+    masks.join(folder, grid)
 }
 
 /// Joins masks in memory, each with the name of its object. `named` must not be empty.
@@ -75,14 +70,15 @@ pub(crate) fn read_masks(folder: &Path, files: &[PathBuf], read: Reader) -> Resu
 /// # Errors
 /// If a volume is not a mask, if the masks are not in one space, or if they do not fit in memory.
 pub fn join_masks(named: Vec<(String, Volume)>) -> Result<Volume> {
-    check_count(Path::new("masks"), named.len())?;
+    let masks_path = Path::new("masks");
+    check_count(masks_path, named.len())?;
     let grids: Vec<Geometry> = named.iter().map(|(_, mask)| mask.geometry.clone()).collect();
     let grid = common_grid(&grids);
     let mut masks = Masks { grids, ..Masks::default() };
     for (name, mask) in named {
         masks.add(Path::new(&name), name.clone(), mask, &grid)?;
     }
-    Ok(masks.join(grid))
+    masks.join(masks_path, grid)
 }
 
 fn check_count(folder: &Path, count: usize) -> Result<()> {
@@ -103,15 +99,11 @@ type Reader = fn(&Path) -> Result<Volume>;
 /// The masks read so far.
 #[derive(Default)]
 struct Masks {
-    /// The labels of each layer.
-    layers: Vec<Vec<u8>>,
-    segments: Vec<Segment>,
+    layers: Layers<u8>,
     /// The grid of each mask.
     grids: Vec<Geometry>,
     /// The world frame of each file.
     spaces: Vec<Space>,
-    /// The names of the masks without a voxel.
-    empty: Vec<String>,
     remarks: Vec<String>,
 }
 
@@ -143,41 +135,29 @@ impl Masks {
                 self.remarks.push(format!("{}: {remark}", file_name(path)));
             }
         }
-        // the voxels inside the mask, and a new layer if none is free
-        check_memory(path, (mask.voxels.len() + voxel_count(path, grid.size)?) as u64)?;
+        check_memory(path, mask.voxels.len() as u64)?;
         let level = level(path, &mask)?;
         let Volume { geometry, voxels, .. } = mask;
         let placed = Placed::new(inside(voxels, geometry.size[0], level), &geometry, grid);
-        let layer = self.layers.iter().position(|layer| placed.is_free(layer)).unwrap_or(self.layers.len());
-        if layer == self.layers.len() {
-            self.layers.push(vec![0; grid.voxel_count()]);
-        }
-        let label = self.segments.len() as u8 + 1;
-        if placed.paint(&mut self.layers[layer], label) == 0 {
-            self.empty.push(name.clone());
-        }
-        self.segments.push(Segment { name, at: LayerLabel { layer, label: label.into() } });
-        Ok(())
+        let number = self.layers.part_count() as u16 + 1;
+        self.layers.add(path, grid, (number, name), &placed)
     }
 
     /// Returns the volume of the layers, which have the given grid.
-    fn join(self, grid: Geometry) -> Volume {
-        let Self { layers, segments, grids, spaces, empty, mut remarks } = self;
+    fn join(self, folder: &Path, grid: Geometry) -> Result<Volume> {
+        let Self { layers, grids, spaces, mut remarks } = self;
         if grids.first().is_some_and(|first| *first != grid) {
             let [nx, ny, nz] = grid.size;
             remarks.push(format!(
                 "the masks have different grids; they are resampled to {nx} x {ny} x {nz} voxels of the finest mask"
             ));
         }
-        if !empty.is_empty() {
-            remarks.push(format!("{} of {} masks are empty: {}", empty.len(), segments.len(), empty.join(", ")));
-        }
-        let mut layers = layers.into_iter().map(Voxels::U8);
-        let first = layers.next().unwrap_or_else(|| Voxels::empty(ScalarType::U8));
         // files in different frames have none in common
         let common = spaces.first().filter(|first| spaces.iter().all(|space| space == *first));
         let file_space = common.copied().unwrap_or(grid.space);
-        Volume { file_space, more_layers: layers.collect(), segments, remarks, ..Volume::new(grid, first) }
+        let volume = layers.join(folder, grid, "masks")?;
+        remarks.extend(volume.remarks);
+        Ok(Volume { file_space, remarks, ..volume })
     }
 }
 
@@ -214,7 +194,7 @@ fn inside(voxels: Voxels, nx: usize, level: f32) -> Vec<bool> {
 fn common_grid(grids: &[Geometry]) -> Geometry {
     let voxel = |grid: &Geometry| grid.spacing.element_product();
     // of masks with the same voxels but for rounding, the first one counts
-    let finest = grids.iter().fold(&grids[0], |a, b| if voxel(b) < (1.0 - TOLERANCE) * voxel(a) { b } else { a });
+    let finest = grids.iter().fold(&grids[0], |a, b| if voxel(b) < (1.0 - INDEX_TOLERANCE) * voxel(a) { b } else { a });
     let size = DVec3::from_array(finest.size.map(|n| n as f64));
     let (mut low, mut high) = (DVec3::ZERO, size);
     for grid in grids {
@@ -222,8 +202,8 @@ fn common_grid(grids: &[Geometry]) -> Geometry {
         for corner in 0..8 {
             let at = [0, 1, 2].map(|a| if corner >> a & 1 == 0 { -0.5 } else { grid.size[a] as f64 - 0.5 });
             let at = index.0 * DVec3::from_array(at) + index.1;
-            low = low.min((at + TOLERANCE).ceil());
-            high = high.max((at - TOLERANCE).floor() + 1.0);
+            low = low.min((at + INDEX_TOLERANCE).ceil());
+            high = high.max((at - INDEX_TOLERANCE).floor() + 1.0);
         }
     }
     if (low, high) == (DVec3::ZERO, size) {
@@ -257,7 +237,7 @@ impl Placed {
     fn holds(&self, i: usize, j: usize, k: usize) -> bool {
         let index = self.index.0 * DVec3::new(i as f64, j as f64, k as f64) + self.index.1;
         // the tolerance keeps rounding errors from deciding halfway between two voxels
-        let [i, j, k] = (index + 0.5 + TOLERANCE).floor().to_array();
+        let [i, j, k] = (index + 0.5 + INDEX_TOLERANCE).floor().to_array();
         let [nx, ny, nz] = self.size;
         let is_within = |i: f64, n: usize| i >= 0.0 && i < n as f64;
         is_within(i, nx)
@@ -271,15 +251,16 @@ impl Placed {
         let [x, y, _] = &self.bounds;
         y.clone().flat_map(move |j| x.clone().filter(move |&i| self.holds(i, j, k)).map(move |i| j * self.layer[0] + i))
     }
+}
 
-    /// Returns whether a layer is 0 throughout the mask.
-    fn is_free(&self, layer: &[u8]) -> bool {
+impl Part for Placed {
+    fn is_free<L: Label>(&self, layer: &[L]) -> bool {
         let plane = self.layer[0] * self.layer[1];
-        self.bounds[2].clone().into_par_iter().all(|k| self.voxels(k).all(|voxel| layer[k * plane + voxel] == 0))
+        let is_zero = |k: usize, voxel: usize| layer[k * plane + voxel] == L::default();
+        self.bounds[2].clone().into_par_iter().all(|k| self.voxels(k).all(|voxel| is_zero(k, voxel)))
     }
 
-    /// Sets the voxels of the mask to a label. Returns their number.
-    fn paint(&self, layer: &mut [u8], label: u8) -> usize {
+    fn paint<L: Label>(&self, layer: &mut [L], label: L) -> usize {
         let Range { start, end } = self.bounds[2];
         let plane = self.layer[0] * self.layer[1];
         let slices = layer[start * plane..end * plane].par_chunks_mut(plane).enumerate();

@@ -4,15 +4,16 @@
 //! Each file becomes a [`Picture`](picture::Picture) with its frames ([`slice`]), its segments
 //! ([`segmentation`]) or its contours ([`structures`]). [`choose`] sorts the pictures into groups,
 //! one per volume, and chooses one. [`stack`] sorts its slices and computes their spacing.
-//! [`pixels`] decodes the frames. Overlapping segments go to different layers ([`layers`]).
+//! [`pixels`] decodes the frames. Overlapping segments go to different layers
+//! ([`crate::layers`]).
 //!
 //! The dicom-rs crates parse the files.
 
 mod choose;
 mod header;
 mod jpeg;
-mod layers;
 mod lengths;
+mod masks;
 mod picture;
 mod pixels;
 mod planes;

@@ -5,13 +5,14 @@
 //! contains the numbers of the segments.
 
 use super::header::Header;
-use super::layers::{Label, Layers, Mask};
+use super::masks::{Mask, Masks, check_room};
 use super::pixels::PixelData;
 use super::planes::Planes;
 use super::slice::Slice;
 use super::stack::{LARGEST_SHIFT, ROUNDING, check_alike};
 use crate::error::{Result, bad};
 use crate::geometry::{Geometry, Space};
+use crate::layers::{Label, Layers};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::masks::INSIDE;
 use crate::segments::{LayerLabel, Segment};
@@ -207,14 +208,16 @@ impl Segmentation {
 
     /// Reads binary and fractional segments. The frame with index 0 is in slice `shift`.
     fn layered<L: Label>(&self, data: &PixelData, grid: Geometry, shift: usize) -> Result<Volume> {
-        let mut layers = Layers::<L>::new(&self.path, grid)?;
+        check_room::<L>(&self.path, &grid)?;
+        let mut layers = Layers::<L>::default();
         for (number, name) in &self.names {
             let slices = self.frames.get(number).map_or(&[][..], Vec::as_slice);
             let masks = slices.par_iter().map(|slice| Ok((shift + self.index(slice), self.mask(data, slice)?)));
             let masks: Vec<Result<Mask>> = masks.collect();
-            layers.add(*number, name.clone(), &masks.into_iter().collect::<Result<Vec<Mask>>>()?)?;
+            let masks = masks.into_iter().collect::<Result<Vec<Mask>>>()?;
+            layers.add(&self.path, &grid, (*number, name.clone()), &Masks::new(&masks, &grid))?;
         }
-        layers.join()
+        layers.join(&self.path, grid, "segments")
     }
 
     /// Reads a label map, like [`Self::layered`].

@@ -2,7 +2,7 @@
 //! planes. They are drawn on a grid by the even-odd rule, so inner contours are holes.
 
 use super::header::Header;
-use super::layers::{Label, Layers, Mask};
+use super::masks::{Mask, Masks, check_room};
 use super::picture::SeriesName;
 use super::planes::Planes;
 use super::polygon::fill;
@@ -10,6 +10,7 @@ use super::slice::DIRECTION_TOLERANCE;
 use super::stack::LARGEST_SHIFT;
 use crate::error::{Result, bad};
 use crate::geometry::{Geometry, Space};
+use crate::layers::{Label, Layers};
 use crate::limit::geometry_from_steps;
 use crate::volume::Volume;
 use dicom_dictionary_std::tags;
@@ -189,7 +190,8 @@ impl Structures {
     }
 
     fn draw<L: Label>(&self, grid: Geometry) -> Result<Volume> {
-        let mut layers = Layers::<L>::new(&self.path, grid.clone())?;
+        check_room::<L>(&self.path, &grid)?;
+        let mut layers = Layers::<L>::default();
         let to_index = DMat3::from_diagonal(grid.spacing.recip()) * grid.directions.inverse();
         let mut report = Report::default();
         for (n, object) in self.objects.iter().enumerate() {
@@ -226,9 +228,10 @@ impl Structures {
                 })
                 .collect();
             // number 0, which is refused, stands for numbers that are too large
-            layers.add(u16::try_from(n + 1).unwrap_or(0), object.name.clone(), &masks)?;
+            let number = u16::try_from(n + 1).unwrap_or(0);
+            layers.add(&self.path, &grid, (number, object.name.clone()), &Masks::new(&masks, &grid))?;
         }
-        let mut volume = layers.join()?;
+        let mut volume = layers.join(&self.path, grid, "segments")?;
         volume.remarks.extend(report.remarks(&self.ignored));
         Ok(volume)
     }
