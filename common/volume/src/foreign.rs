@@ -4,11 +4,11 @@ use crate::error::Content;
 use std::io::Read;
 use std::path::Path;
 
-/// First bytes of a file, and its contents.
+/// First bytes of each format that has a signature.
 const SIGNATURES: [(&[u8], Content); 3] = [
     (b"\x89HDF\r\n\x1a\n", Content::Hdf5),
     (b"MATLAB 5.0 MAT-file", Content::Matlab),
-    // HDF5 behind a block of text
+    // HDF5 after a block of text
     (b"MATLAB 7.3 MAT-file", Content::Matlab),
 ];
 /// Each array and each group of a Zarr store contains one of these files.

@@ -55,8 +55,8 @@ pub fn reverse_slices<T>(values: &mut [T], length: usize) {
 const TILE: usize = 64;
 
 /// Returns the values of a grid of `size` voxels (x fastest) in the order of the reversed axes: z
-/// is then fastest. Copies squares through a buffer, because values that are a power of two apart
-/// displace each other from the cache.
+/// is then fastest. Copies squares through a buffer, because values at distances of a large power
+/// of two evict each other from the cache.
 pub(crate) fn reversed_axes<T: Copy + Default + Send + Sync>(values: &[T], size: [usize; 3]) -> Vec<T> {
     let [nx, ny, nz] = size;
     let mut reversed = vec![T::default(); values.len()];

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// Accepted voxel lengths in mm. Beyond them, results suffer from rounding.
+/// Accepted voxel lengths in mm. Outside this range, rounding errors affect the results.
 const SPACINGS: RangeInclusive<f64> = 1e-9..=1e6;
 
 /// Returns the number of voxels of a grid, given the sizes in a file header. Fails if a size is

@@ -1,6 +1,5 @@
-//! Reads volumes of FreeSurfer: `.mgh`, and `.mgz`, which is the same with gzip. The RAS world
-//! frame is converted to LPS. The names of labels are not in the file but in FreeSurfer's colour
-//! tables.
+//! Reads FreeSurfer volumes: `.mgh`, and `.mgz`, its gzip-compressed form. The RAS world frame is
+//! converted to LPS. The files contain no label names; these are in FreeSurfer's colour tables.
 
 use crate::error::{Error, Result, bad};
 use crate::geometry::{Geometry, Space};
@@ -13,10 +12,12 @@ use isoparticles_file::limit::check_memory;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Number of bytes before the voxels (`UNUSED_SPACE_SIZE` and the fields before it in FreeSurfer).
+/// Number of bytes before the voxels: 7 integers of 4 bytes, and the 256 bytes of FreeSurfer's
+/// `UNUSED_SPACE_SIZE`.
 const HEADER_BYTES: usize = 284;
 
-/// Number of bytes of a header that this module uses.
+/// Number of header bytes that this module uses: 7 integers of 4 bytes, a flag of 2 bytes and 15
+/// floats of 4 bytes.
 const FIELD_BYTES: usize = 90;
 
 /// Returns whether an uncompressed file that starts with these bytes has an MGH header: version 1,
@@ -52,8 +53,8 @@ pub(crate) fn read_mgh(path: &Path) -> Result<Volume> {
     let count = geometry.voxel_count();
     check_memory(path, (count as u64).saturating_mul(scalar.bytes() as u64))?;
     let voxels = Voxels::read_from(&mut reader, scalar, Endian::Big, count).map_err(cannot)?;
-    // Reads the acquisition parameters and tags that follow the voxels, so that the checksum of
-    // compressed data is verified.
+    // read the acquisition parameters and tags that follow the voxels, so that the checksum of
+    // compressed data is verified
     io::copy(&mut reader, &mut io::sink()).map_err(cannot)?;
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) }.in_lps())
 }
@@ -77,8 +78,9 @@ fn scalar_type(path: &Path, code: i32) -> Result<ScalarType> {
     })
 }
 
-/// Returns the geometry in RAS. Without a valid orientation, FreeSurfer assumes coronal slices of
-/// 1 mm voxels (nibabel 5.4 transposes their directions); then the space is unnamed.
+/// Returns the geometry in RAS. If the header has no valid orientation, coronal slices of 1 mm
+/// voxels are assumed, as in FreeSurfer, and the space is unnamed. nibabel 5.4 transposes the
+/// directions of these slices.
 fn geometry(path: &Path, header: &[u8; HEADER_BYTES]) -> Result<(Geometry, Vec<String>)> {
     let declared = [1, 2, 3, 4].map(|n| integer(header, n));
     let sizes = declared.map(|n| usize::try_from(n).unwrap_or(0));
@@ -101,7 +103,7 @@ fn geometry(path: &Path, header: &[u8; HEADER_BYTES]) -> Result<(Geometry, Vec<S
         (DVec3::ONE, [DVec3::X, DVec3::NEG_Z, DVec3::NEG_Y], DVec3::ZERO, Space::Unnamed)
     };
     let steps = [0, 1, 2].map(|axis| axes[axis] * spacing[axis]);
-    // the world position in the header belongs to the index position of half the size
+    // the header contains the world position of the index position `size / 2`
     let half = size.map(|n| n as f64 / 2.0);
     let origin = centre - steps[0] * half[0] - steps[1] * half[1] - steps[2] * half[2];
     let remark = "the header has no valid orientation; coronal slices of 1 mm voxels are assumed, as in FreeSurfer";

@@ -2,9 +2,9 @@
 //! predecessor Analyze 7.5: `.nii`, `.nii.gz`, and pairs of `.hdr` and `.img` files. The RAS world
 //! frame of NIfTI is converted to LPS.
 //!
-//! Analyze 7.5 does not define which side is left. Its axes are read as nibabel and SPM read them:
-//! x runs from right to left, y from posterior to anterior, z from inferior to superior. The space
-//! is unnamed, because this is an assumption.
+//! Analyze 7.5 does not define which side is left. As in nibabel and SPM, x is assumed to run from
+//! right to left, y from posterior to anterior, and z from inferior to superior. The space is
+//! unnamed, because this is an assumption.
 
 mod header;
 mod names;
@@ -180,9 +180,9 @@ fn geometry(path: &Path, header: &Header) -> Result<(Geometry, Vec<String>)> {
     Ok((geometry_from_steps(path, size, steps, origin * millimetres, space)?, remarks))
 }
 
-/// Returns the geometry of an Analyze file, in the frame that becomes LPS if x runs from right to
-/// left. As in nibabel and SPM, the world origin is the voxel that SPM keeps in the header, or the
-/// centre of the volume.
+/// Returns the geometry of an Analyze file. If x runs from right to left, as assumed, the
+/// coordinates are LPS. As in nibabel and SPM, the world origin is the voxel that SPM stores in the
+/// header or, if it is missing or far outside the volume, the centre of the volume.
 fn analyze_geometry(path: &Path, header: &Header, start: &[u8]) -> Result<(Geometry, Vec<String>)> {
     let size = size(path, header)?;
     let voxels = DVec3::from_array(size.map(|n| n as f64));
@@ -191,8 +191,8 @@ fn analyze_geometry(path: &Path, header: &Header, start: &[u8]) -> Result<(Geome
     let origin = if is_kept { origin - 1.0 } else { 0.5 * (voxels - 1.0) };
     let steps = header.spacing().abs() * DVec3::new(1.0, -1.0, 1.0);
     let axes = [DVec3::X * steps.x, DVec3::Y * steps.y, DVec3::Z * steps.z];
-    let remark = "the file is in Analyze 7.5, which does not say which side is left; x is assumed to run from right to \
-                  left, as in nibabel and SPM";
+    let remark = "the file is in Analyze 7.5, which does not define which side is left; x is assumed to run from right \
+                  to left, as in nibabel and SPM";
     Ok((geometry_from_steps(path, size, axes, -origin * steps, Space::Unnamed)?, vec![remark.to_owned()]))
 }
 
@@ -240,7 +240,7 @@ fn scaled(voxels: Voxels, slope: f64, intercept: f64, remarks: &mut Vec<String>)
     if plain {
         return voxels;
     }
-    // NIfTI-1 stores 32-bit numbers; as such they are short
+    // NIfTI-1 stores 32-bit numbers; in double precision, they would be shown with spurious digits
     let shown = [slope, intercept].map(|number| number as f32);
     remarks.push(format!("values are computed as stored value * {} + {}, as given in the header", shown[0], shown[1]));
     match voxels.scalar_type() {

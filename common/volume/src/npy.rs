@@ -1,8 +1,8 @@
-//! Reads arrays that NumPy saves: `.npy`, versions 1 to 3. The first axis is x, as in the Python
-//! package of this project. The file has no spacing, so the caller must give one.
+//! Reads NumPy arrays: `.npy`, versions 1 to 3. The first axis is x, as in the Python package of
+//! this project. The file has no spacing, so the caller must give one.
 //!
-//! The header is a Python dictionary of three entries. No library is used, because those for this
-//! format parse every Python literal.
+//! The header is a Python dictionary with three entries. This module parses it without a crate,
+//! because the crates for this format parse arbitrary Python literals.
 
 use crate::error::{Error, Result, bad};
 use crate::geometry::Geometry;
@@ -70,7 +70,7 @@ struct Header {
 }
 
 impl Header {
-    /// Parses the header with which a file starts. Also returns the position of the first value.
+    /// Parses the header at the start of a file. Also returns the position of the first value.
     fn parse(start: &[u8]) -> std::result::Result<(Self, usize), String> {
         let short = || "has a header that is damaged or too long".to_owned();
         let (text, length) = match start.get(MAGIC.len()..).ok_or_else(short)? {

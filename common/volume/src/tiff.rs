@@ -2,10 +2,10 @@
 //! Supports BigTIFF, strips and tiles with one number per pixel, uncompressed or compressed by LZW,
 //! deflate or PackBits.
 //!
-//! The values are those in the file, as in ImageJ, tifffile and ITK: a palette and an inverted gray
-//! scale (`WhiteIsZero`) only affect how pixels are shown. Rows run along x and start at the top,
-//! and pages follow each other along z. The crate `tiff` (0.11) is not used, because it inverts
-//! `WhiteIsZero`, refuses palettes, and overflows on some damaged sizes.
+//! The values are those in the file, as in ImageJ, tifffile and ITK. A palette and an inverted gray
+//! scale (`WhiteIsZero`) only affect the display. Rows run along x and start at the top, and pages
+//! are ordered along z. The crate `tiff` (0.11) is not used, because it inverts `WhiteIsZero`,
+//! refuses palettes, and overflows on some damaged sizes.
 
 mod decode;
 mod directory;
@@ -29,7 +29,7 @@ use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Returns whether the name of a file is that of a TIFF file.
+/// Returns whether a file has the name of a TIFF file.
 pub(crate) fn has_tiff_name(path: &Path) -> bool {
     let name = file_name(path);
     let extension = Path::new(&name).extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
@@ -44,7 +44,7 @@ struct Slice<'a> {
     page: Page,
 }
 
-/// Reads a file with a page per slice. `given` is the spacing in mm for files without one.
+/// Reads a file with one page per slice. `given` is the spacing in mm for files without one.
 pub(crate) fn read_tiff(path: &Path, given: Option<DVec3>) -> Result<Volume> {
     let directory = Directory::read(path)?;
     let metadata = Metadata::parse(path, &directory)?;
@@ -157,7 +157,7 @@ fn stack(path: &Path, slices: Vec<Slice<'_>>, metadata: &Metadata, given: Option
 /// Compares names so that `slice2` comes before `slice10`.
 fn natural_order(a: &str, b: &str) -> Ordering {
     let is_digit = |c: char| c.is_ascii_digit();
-    /// Splits off the characters at the start that are all digits, or all no digits.
+    /// Splits a name after its leading digits, or else before its first digit.
     fn split(name: &str) -> (&str, &str) {
         let is_number = name.starts_with(|c: char| c.is_ascii_digit());
         name.split_at(name.find(|c: char| c.is_ascii_digit() != is_number).unwrap_or(name.len()))
@@ -168,7 +168,7 @@ fn natural_order(a: &str, b: &str) -> Ordering {
         (part_a, rest_a) = split(rest_a);
         (part_b, rest_b) = split(rest_b);
         let order = if part_a.starts_with(is_digit) && part_b.starts_with(is_digit) {
-            // of two numbers without leading zeros, the longer one is greater
+            // without leading zeros, a number with more digits is greater
             let [a, b] = [part_a, part_b].map(|part| part.trim_start_matches('0'));
             a.len().cmp(&b.len()).then_with(|| a.cmp(b))
         } else {

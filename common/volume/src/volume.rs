@@ -45,7 +45,7 @@ impl Volume {
         }
     }
 
-    /// Returns the volume with its grid in LPS, whatever anatomical frame it was in.
+    /// Returns the volume with its grid converted to LPS from any anatomical frame.
     #[must_use]
     pub fn in_lps(self) -> Self {
         Self { geometry: self.geometry.in_space(Space::Lps), ..self }
@@ -60,7 +60,7 @@ impl Volume {
         self.geometry = self.geometry.cropped(first, size);
     }
 
-    /// Turns each block of `factors` voxels into one voxel at the centre of the block, in all
+    /// Replaces each block of `factors` voxels by one voxel at the centre of the block, in all
     /// layers. Drops the voxels at the far ends of the axes that do not fill a block.
     pub fn downsample(&mut self, factors: [usize; 3], how: Pooling) {
         let blocks = Blocks { grid: self.geometry.size, factors };

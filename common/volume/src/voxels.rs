@@ -111,7 +111,7 @@ macro_rules! with_type {
     };
 }
 
-// below the macros that it uses
+// must follow the macros that it uses
 mod pool;
 
 pub(crate) use pool::Blocks;

@@ -57,7 +57,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// Returns an element as a positive number, or `None` if it is missing or anything else.
+    /// Returns an element as a positive number, or `None` if it is missing or not one.
     pub(super) fn positive(&self, tag: Tag) -> Option<f64> {
         let number = self.object.get(tag)?.to_float64().ok()?;
         (number.is_finite() && number > 0.0).then_some(number)
@@ -77,8 +77,8 @@ impl<'a> Header<'a> {
     }
 
     /// Returns the elements of a functional group of a frame (PS3.3, section C.7.6.16): the item of
-    /// the sequence `tag` for this frame or else for all frames. Returns `self` if there is none,
-    /// because files with one frame have the same elements outside of sequences.
+    /// the sequence `tag` for this frame, otherwise the item for all frames. Returns `self` if
+    /// neither exists, because files with one frame have the same elements outside of sequences.
     pub(super) fn of_frame(&self, frame: usize, tag: Tag) -> Self {
         let own = self.item(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE, frame);
         let shared = || self.item(tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE, 0);

@@ -10,7 +10,7 @@ const START_2000: &[u8] = &[0xff, 0x4f, 0xff, 0x51];
 const COMPONENTS_2000: usize = 40;
 
 /// Decodes a JPEG frame with one component of `columns` x `rows` pixels to numbers of `width`
-/// bytes. Returns a reason if that fails.
+/// bytes. The error is the reason of a failure.
 pub(super) fn decode(frame: &[u8], [columns, rows]: [usize; 2], width: usize) -> Result<Vec<u8>, String> {
     let mut decoder = Decoder::new(frame);
     decoder.set_max_decoding_buffer_size(columns * rows * 2);
@@ -58,7 +58,7 @@ pub(super) fn decode_2000(frame: &[u8], [columns, rows]: [usize; 2], width: usiz
     if usize::from(bits) > 8 * width || component.samples().len() != columns * rows {
         return Err(format!("it has {bits} bits per pixel, and the header declares {}", 8 * width));
     }
-    // the decoder adds 2^(bits - 1) to signed numbers; the highest bit of the format marks them
+    // the decoder adds 2^(bits - 1) to signed numbers; the highest bit of `format` marks these
     let lowest = if format & 0x80 != 0 { 1i64 << (bits - 1) } else { 0 };
     let highest = (1i64 << bits) - 1;
     let numbers = component.samples().iter().map(|&sample| (sample.round() as i64).clamp(0, highest) - lowest);

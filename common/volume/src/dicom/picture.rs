@@ -1,4 +1,4 @@
-//! Reads what a DICOM file contains: frames of a scan, a segmentation, or contours.
+//! Reads the contents of a DICOM file: frames of a scan, a segmentation, or contours.
 
 use super::header::{Header, damaged, opened};
 use super::lengths;
@@ -24,7 +24,7 @@ pub(super) struct Picture {
 /// The contents of a file that form a volume or a part of one.
 #[derive(Debug)]
 pub(super) enum Content {
-    /// Frames of a scan, which may belong to a volume with those of other files.
+    /// Frames of a scan. They may form one volume together with the frames of other files.
     Slices(Vec<Slice>),
     Segmentation(Box<Segmentation>),
     Structures(Box<Structures>),

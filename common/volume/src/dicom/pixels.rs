@@ -127,7 +127,7 @@ pub(super) struct PixelData {
 }
 
 impl PixelData {
-    /// Reads a file whose header was read before.
+    /// Reads a whole file into memory.
     pub(super) fn read(path: &Path, columns: usize) -> Result<Self> {
         let size = std::fs::metadata(path).map_or(0, |file| file.len());
         check_memory(path, size)?;
@@ -156,8 +156,8 @@ impl PixelData {
         decoded.map(Cow::Owned).map_err(|why| self.undecoded(&why))
     }
 
-    /// Returns the pixels of a frame that are not 0, for one bit per pixel. The bits of all frames
-    /// form one sequence, least significant bit of a byte first.
+    /// Returns which pixels of a frame are not 0, if each pixel is one bit. The bits of all frames
+    /// form one sequence. The least significant bit of a byte comes first.
     pub(super) fn bits(&self, frame: usize, count: usize) -> Result<Vec<bool>> {
         if self.native().is_none() {
             return Err(self.undecoded("frames of one bit per pixel must not be compressed"));
@@ -208,8 +208,8 @@ impl PixelData {
         Ok((bytes, first % 8))
     }
 
-    /// Returns the compressed bytes of a frame. A frame has one fragment, or those from its entry
-    /// in the offset table up to the next entry.
+    /// Returns the compressed bytes of a frame. A frame consists of one fragment, or of the
+    /// fragments from its entry in the offset table up to the next entry.
     fn encoded(&self, frame: usize) -> Result<Cow<'_, [u8]>> {
         let value = self.object.get(tags::PIXEL_DATA).map(|element| element.value());
         let fragments = value.and_then(|value| value.fragments()).unwrap_or_default();

@@ -3,8 +3,8 @@
 
 use super::stack::LARGEST_SHIFT;
 
-/// Maximum number of planes if most of them are missing. A scan of a whole body, 2 m long, has as
-/// many slices of 1 mm. The limit bounds the memory that a file with few frames can require.
+/// Maximum number of planes if most of them are missing: about the number of 1 mm slices in a
+/// whole-body scan of 2 m. The limit bounds the memory that a file with few frames can require.
 const MOST_SPARSE: usize = 2048;
 
 /// Evenly spaced planes.
@@ -17,10 +17,10 @@ pub(super) struct Planes {
 }
 
 impl Planes {
-    /// Finds the planes at `places`, which are positions along a normal in mm. Places closer than
-    /// `tolerance` are one plane. The candidates for the spacing are `declared`, the smallest
-    /// distance and `thickness`, in this order. The first one is used that divides all distances,
-    /// up to rounding. Returns `None` if none does.
+    /// Finds the planes at `places`, which are positions along a normal in mm. Positions closer
+    /// than `tolerance` are merged. The candidates for the spacing are `declared`, the minimum
+    /// distance and `thickness`, in this order. The first candidate that divides all distances, up
+    /// to rounding, is the spacing. Returns `None` if no candidate does.
     pub(super) fn new(
         mut places: Vec<f64>,
         tolerance: f64,
@@ -33,7 +33,7 @@ impl Planes {
         [declared, smallest, thickness].into_iter().flatten().find_map(|spacing| Self::spaced(&places, spacing))
     }
 
-    /// Returns the planes if all distances are multiples of about `spacing`.
+    /// Returns the planes if all distances are approximately multiples of `spacing`.
     fn spaced(places: &[f64], spacing: f64) -> Option<Self> {
         let (first, last) = (*places.first()?, *places.last()?);
         let mut index = 0;
@@ -58,7 +58,7 @@ impl Planes {
         self.places.last().map_or(0, |(_, index)| index + 1)
     }
 
-    /// Returns the index of the plane that is nearest to a place.
+    /// Returns the index of the plane nearest to a position.
     pub(super) fn index(&self, place: f64) -> usize {
         let after = self.places.partition_point(|&(other, _)| other < place);
         let around = self.places[after.saturating_sub(1)..].iter().take(2);

@@ -12,7 +12,7 @@ pub(super) fn fill(polygons: &[&[DVec2]], [columns, rows]: [usize; 2]) -> Vec<bo
     // the columns from `low` to `high` in a row
     let range = |low: f64, high: f64| {
         let start = low.ceil().max(0.0) as usize;
-        // the conversion of a negative number gives 0
+        // a range to the left of the mask is empty
         start..((high.floor() + 1.0).max(0.0) as usize).min(columns).max(start)
     };
     let mut crossings: Vec<Vec<f64>> = vec![Vec::new(); rows];

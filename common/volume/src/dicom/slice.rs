@@ -142,7 +142,7 @@ fn frame_count(header: &Header<'_>) -> Result<usize> {
     ))
 }
 
-/// Fails unless a pixel has one number.
+/// Fails unless each pixel has one value.
 fn check_plain(header: &Header<'_>) -> Result<()> {
     match header.whole(tags::SAMPLES_PER_PIXEL)?.filter(|&samples| samples != 1) {
         Some(samples) => Err(bad(

@@ -61,7 +61,7 @@ fn file_group(syntax: &str) -> Vec<u8> {
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// A file after bytes that it lacks.
+/// A file with missing bytes prepended.
 struct Prefixed {
     prefix: Cursor<Vec<u8>>,
     file: File,
@@ -69,7 +69,7 @@ struct Prefixed {
 
 impl Read for Prefixed {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
-        // dicom-rs looks for the letters DICM in the bytes of one read
+        // fill the buffer from both parts, because dicom-rs looks for the letters DICM in one read
         let count = self.prefix.read(to)?;
         Ok(count + self.file.read(&mut to[count..])?)
     }

@@ -1,5 +1,5 @@
-//! Sorts slices and computes the grid that they form. Fails if they do not form a regular grid.
-//! Reads their values.
+//! Sorts slices, computes the regular grid that they form, and reads their values. Fails if they do
+//! not form a regular grid.
 
 use super::pixels::{PixelData, Pixels};
 use super::slice::{DIRECTION_TOLERANCE, Slice};
@@ -100,7 +100,7 @@ impl Stack {
             files.entry(&slice.path).or_default().push((slice, values));
         }
         let files: Vec<_> = files.into_iter().collect();
-        // with many files, threads share the files, and otherwise the frames of each file
+        // threads work in parallel on files, and on the frames of a multi-frame file
         let read: Vec<Result<()>> = files
             .into_par_iter()
             .map(|(path, slices)| {
@@ -164,7 +164,7 @@ pub(super) fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     Ok(())
 }
 
-/// Returns the start of a sentence about a slice: its frame in a multi-frame file.
+/// Returns the start of a message about a slice: its frame, unless it is the first in its file.
 fn of_frame(slice: &Slice) -> String {
     if slice.frame == 0 { String::new() } else { format!("frame {} ", slice.frame + 1) }
 }

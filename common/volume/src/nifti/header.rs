@@ -9,10 +9,10 @@ use std::path::Path;
 /// Size of a header of NIfTI-1 and of Analyze 7.5 in bytes (`sizeof_hdr` of the format).
 const NIFTI_1_BYTES: usize = 348;
 
-/// Size of a NIfTI-2 header in bytes.
+/// Size of a NIfTI-2 header in bytes (`sizeof_hdr` of the format).
 pub(super) const NIFTI_2_BYTES: usize = 540;
 
-/// The format of a header and the place of its voxels.
+/// The format of a header and the location of its voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// NIfTI with the voxels in the same file.
@@ -47,14 +47,14 @@ pub(super) struct Header {
     pub(super) srow: [[f64; 4]; 3],
 }
 
-/// Numbers of a header in the byte order of its file.
+/// Reads the numbers of a header in the byte order of its file.
 struct Fields<'a> {
     bytes: &'a [u8],
     endian: Endian,
 }
 
 impl Fields<'_> {
-    /// Returns the bytes of a number as those of a big-endian number.
+    /// Returns the bytes of a number in big-endian order.
     fn number<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut bytes = [0; N];
         bytes.copy_from_slice(&self.bytes[at..at + N]);
@@ -88,7 +88,8 @@ impl Fields<'_> {
     }
 }
 
-/// Returns the size of the header and its byte order if a file starts with this size.
+/// Returns the size of the header and its byte order, or `None` if the file does not start with the
+/// size of a header.
 pub(super) fn size_and_order(start: &[u8]) -> Option<(usize, Endian)> {
     let first = *start.first_chunk::<4>()?;
     let size = |n: u32| [NIFTI_1_BYTES, NIFTI_2_BYTES].into_iter().find(|&size| size == n as usize);
@@ -97,7 +98,7 @@ pub(super) fn size_and_order(start: &[u8]) -> Option<(usize, Endian)> {
 }
 
 impl Header {
-    /// Parses the header with which a file starts.
+    /// Parses the header at the start of a file.
     pub(super) fn parse(path: &Path, start: &[u8]) -> Result<Self> {
         let damaged =
             |what: String| bad(path, what, "it is damaged or not NIfTI", "copy, download or write the file again");
@@ -111,7 +112,7 @@ impl Header {
             _ => Kind::Analyze,
         };
         let fields = Fields { bytes: start, endian };
-        // the place of a field in NIfTI-1 and NIfTI-2, and the sizes of its numbers
+        // the position of a field in NIfTI-1 and NIfTI-2, and the sizes of its numbers
         let at = |one: usize, two: usize| if is_two { two } else { one };
         let (size, code, real) = if is_two { (8, 4, 8) } else { (2, 2, 4) };
         let vox_offset = if is_two { fields.integer(168, 8) as f64 } else { fields.real(108, 4) };
@@ -154,8 +155,8 @@ impl Header {
     }
 }
 
-/// Returns the origin that SPM keeps in the header of an Analyze file: the voxel at the world
-/// origin, counted from one. All numbers are zero if there is none.
+/// Returns the origin that SPM stores in the header of an Analyze file: the indices of the voxel at
+/// the world origin, from 1. All of them are 0 if the header has no origin.
 pub(super) fn spm_origin(start: &[u8], endian: Endian) -> DVec3 {
     let fields = Fields { bytes: start, endian };
     DVec3::from_array(std::array::from_fn(|n| fields.integer(253 + 2 * n, 2) as f64))

@@ -83,7 +83,7 @@ fn lzw(mut stored: &[u8], mut bytes: &mut [u8]) -> io::Result<()> {
 fn pack_bits(mut stored: &[u8], mut bytes: &mut [u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         let (&code, rest) = stored.split_first().ok_or_else(ends_early)?;
-        // a code below 128 counts literal bytes, and one above 128 repeats of the next byte
+        // code + 1 literal bytes follow a code below 128; one above 128 repeats the next byte
         let (count, used) = match code {
             0..128 => (usize::from(code) + 1, usize::from(code) + 1),
             128 => (0, 0),
@@ -100,7 +100,7 @@ fn pack_bits(mut stored: &[u8], mut bytes: &mut [u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Converts the values of fewer than 8 bits to bytes.
+/// Converts values of fewer than 8 bits to bytes.
 fn unpack(row: &[u8], bits: usize, to: &mut [u8]) {
     for (n, to) in to.iter_mut().enumerate() {
         let first = n * bits;
@@ -108,7 +108,7 @@ fn unpack(row: &[u8], bits: usize, to: &mut [u8]) {
     }
 }
 
-/// Replaces the differences in a row by the values.
+/// Reverses the predictor: replaces the differences in a row by the values.
 fn predicted(row: &mut [u8], page: &Page) {
     /// Adds the previous value to each value of `N` bytes.
     fn sum<const N: usize>(row: &mut [u8], add: impl Fn([u8; N], [u8; N]) -> [u8; N]) {

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Maximum number of tags in a directory: the number of different tags.
+/// Maximum number of tags in a directory: there are 2^16 different tags.
 const MOST_TAGS: u64 = 1 << 16;
 
 /// The pages of a file.
@@ -48,12 +48,12 @@ struct Entry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// The values, or the position of the values if they are longer.
+    /// The values or, if they do not fit here, their position in the file.
     value: Vec<u8>,
 }
 
 impl Directory {
-    /// Reads the directories of all pages. Pages of reduced size, such as thumbnails, are left out.
+    /// Reads the directories of all pages. Pages of reduced size, such as thumbnails, are skipped.
     ///
     /// # Errors
     /// If the file is damaged, or if a page does not have one number per pixel.
@@ -62,7 +62,7 @@ impl Directory {
         let mut directory =
             Self { pages: Vec::new(), description: String::new(), resolution: None, length: source.length };
         let mut visited = BTreeSet::new();
-        // bytes of all pages; without this limit, pages that share their bytes would exhaust memory
+        // bytes of all pages, limited below: pages that share bytes could exhaust the memory
         let mut stored = 0_u64;
         let mut next = source.first()?;
         while next != 0 {
@@ -95,7 +95,7 @@ impl<'a> Source<'a> {
         let unreadable = |error| Error::file(path, "read", error, "check the name of the volume");
         let file = File::open(path).map_err(unreadable)?;
         let length = file.metadata().map_err(unreadable)?.len();
-        // directories are small and far apart
+        // a small buffer, because directories are small and far apart
         let mut file = BufReader::with_capacity(1 << 10, file);
         let mut start = [0; 4];
         file.read_exact(&mut start).map_err(unreadable)?;

@@ -1,4 +1,4 @@
-//! The layout of the pixels of a TIFF page, as far as this project reads it.
+//! Describes the pixels of a TIFF page: number type, compression, predictor, strips and tiles.
 
 use crate::voxels::{Endian, ScalarType};
 
@@ -11,15 +11,15 @@ pub(super) enum Compression {
     PackBits,
 }
 
-/// What is stored instead of the values of a row.
+/// How the values of a row are encoded before compression.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Predictor {
-    /// The values.
+    /// As the values themselves.
     None,
-    /// The differences between values.
+    /// As differences between neighbouring values.
     Horizontal,
-    /// The differences between bytes: all first bytes of the values, then all second bytes, and so
-    /// on.
+    /// As differences between neighbouring bytes. All first bytes of the values precede all second
+    /// bytes, and so on.
     FloatingPoint,
 }
 
@@ -102,7 +102,7 @@ impl Tags {
             }
         };
         let compression = Compression::numbered(self.compression)?;
-        // as in libtiff, other compressions have no predictor
+        // as in libtiff, the predictor is ignored for other compressions
         let is_predicted = matches!(compression, Compression::Lzw | Compression::Deflate);
         let predictor = match (self.predictor, self.bits[0], scalar) {
             (1, ..) => Predictor::None,
@@ -118,7 +118,7 @@ impl Tags {
 }
 
 impl Compression {
-    /// Returns the compression with a number of TIFF 6.0 or a later extension.
+    /// Returns the compression for its code in TIFF 6.0 or a later extension.
     fn numbered(number: u64) -> Result<Self, (String, &'static str)> {
         let name = match number {
             1 => return Ok(Self::None),
@@ -178,7 +178,7 @@ impl Page {
         }
         for chunk in 0..count {
             let needed = (self.rows(chunk) as u64).saturating_mul(self.row_bytes() as u64);
-            // some programs write wrong lengths of uncompressed strips
+            // some programs write wrong lengths for uncompressed strips
             let bytes = if is_plain { needed } else { counts[chunk] };
             if offsets[chunk].checked_add(bytes).is_none_or(|end| end > length) {
                 return Err(format!("strip or tile {chunk} lies beyond the end of the file, which is truncated"));

@@ -1,5 +1,5 @@
-//! Finds the spacing and the order of the slices in the metadata of a TIFF file: that of ImageJ,
-//! OME-XML, tifffile, or the resolution tags of TIFF 6.0.
+//! Finds the spacing and the number of slices in the metadata of a TIFF file: the description by
+//! ImageJ or tifffile, OME-XML, or the resolution tags of TIFF 6.0.
 
 use super::directory::Directory;
 use crate::error::{Result, bad};
@@ -9,14 +9,14 @@ use glam::DVec3;
 use quick_xml::events::Event;
 use std::path::Path;
 
-/// First letters of the description that ImageJ writes.
+/// Start of the description that ImageJ writes.
 pub(super) const IMAGEJ: &str = "ImageJ=";
 
 /// Resolutions in pixels per inch that programs write for images without a known size.
 const SCREEN_RESOLUTIONS: [f64; 2] = [72.0, 96.0];
 
-/// Relative difference up to which two spacings are the same. TIFF stores resolutions as fractions
-/// of integers, and programs print spacings with about six digits.
+/// Maximum relative difference between spacings that agree. TIFF stores resolutions as fractions of
+/// integers, and programs print spacings with about six digits, an error of up to 5e-6.
 const TOLERANCE: f64 = 1e-4;
 
 /// The spacing in a file, in mm.
@@ -26,7 +26,7 @@ pub(super) enum Spacing {
     Missing,
     /// Along x and y only.
     InPlane([f64; 2]),
-    /// Without a slice distance, for which ImageJ assumes one unit.
+    /// The slice distance is missing. It is one unit, as in ImageJ.
     WithAssumedZ(DVec3),
     Complete(DVec3),
 }
@@ -35,7 +35,7 @@ pub(super) enum Spacing {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Metadata {
     pub(super) spacing: Spacing,
-    /// Number of slices, or 0 or 1 if the file contains one slice of several.
+    /// Declared number of slices. 0 and 1 are not checked: the file may be one slice of several.
     pub(super) slices: usize,
     /// Sizes of the axes other than x, y and z, with their names.
     axes: Vec<(&'static str, usize)>,
@@ -52,7 +52,7 @@ impl Metadata {
             Self::of_imagej(text, directory)
         } else if text.contains("<OME") {
             Self::of_ome(text).map_err(|what| {
-                bad(path, format!("has damaged OME-XML: {what}"), "it orders the pages", "write the file again")
+                bad(path, format!("has damaged OME-XML: {what}"), "it describes the pages", "write the file again")
             })?
         } else {
             let spacing = in_plane(directory).map_or(Spacing::Missing, Spacing::InPlane);
@@ -139,7 +139,7 @@ impl Metadata {
         Ok(metadata)
     }
 
-    /// Checks that a volume of so many slices is complete.
+    /// Checks that the declared number of slices, if any, equals `slices`.
     pub(super) fn check(&self, path: &Path, slices: usize) -> Result<()> {
         if self.slices <= 1 || self.slices == slices {
             return Ok(());
@@ -170,7 +170,7 @@ fn unit_of_tag(unit: u64) -> Option<f64> {
     }
 }
 
-/// Returns the axes before z of an array that tifffile wrote: its description is
+/// Returns the axes before z of an array written by tifffile. Its description has the form
 /// `{"shape": [2, 4, 3], ...}`.
 fn axes_of_tifffile(text: &str) -> Vec<(&'static str, usize)> {
     let shape = serde_json::from_str(text).ok().and_then(|value: serde_json::Value| {

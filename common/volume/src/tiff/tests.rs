@@ -1,4 +1,4 @@
-//! Tests TIFF files that no program writes, and the rules for spacings.
+//! Tests damaged and unusual TIFF files, and the rules for spacings.
 
 use super::natural_order;
 use crate::error::Result;
@@ -14,9 +14,9 @@ enum Tag<'a> {
 }
 use Tag::{Number, Text};
 
-/// Creates a little-endian file: `pixels` from byte 8, then a directory per page. Each page has the
-/// tags of 2 x 2 pixels of 8 bits, of which the first page has the first four bytes and so on,
-/// unless `tags` contains others.
+/// Creates a little-endian file: `pixels` from byte 8, then a directory per page. By default, each
+/// page has 2 x 2 pixels of 8 bits: the first page has the first four bytes, and so on. `tags`
+/// replaces these tags or adds others.
 fn file(pages: usize, pixels: &[u8], tags: &[Tag<'_>]) -> Vec<u8> {
     let mut bytes = [b"II*\0", &(8 + pixels.len() as u32).to_le_bytes()[..], pixels].concat();
     for page in 0..pages {
@@ -159,7 +159,7 @@ fn damaged_files_are_refused() {
 
 #[test]
 fn pack_bits_repeat_and_copy() {
-    // 3 literal bytes, nothing, a byte 2 times, and 3 literal bytes, of which the last is left out
+    // 3 literal bytes, nothing, one byte twice, and 3 literal bytes, the last of which is ignored
     let pixels = [2, 1, 2, 3, 128, 255, 4, 2, 5, 6, 7];
     let packed = [Number(259, 32773), Number(257, 3), Number(273, 8), Number(279, 11)];
     let bytes = [pixels, pixels].concat();

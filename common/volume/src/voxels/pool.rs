@@ -3,14 +3,14 @@
 use super::{Number, ScalarType, Voxels};
 use rayon::prelude::*;
 
-/// How the voxels of a block become one.
+/// How the voxels of a block are combined into one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pooling {
     /// The mean, for measured values. The result is `F64` for `F64` values and `F32` for all other
-    /// types, because whole numbers would give the surface steps. A block with NaN becomes NaN.
+    /// types, because rounding would cause steps in the surface. A block with NaN becomes NaN.
     Mean,
-    /// The most frequent value, for labels. Of equally frequent values, the smallest. NaN counts
-    /// as 0. The type is unchanged.
+    /// The most frequent value, for labels; the smallest of equally frequent values. NaN counts as
+    /// 0. The type is unchanged.
     MostFrequent,
 }
 
@@ -39,7 +39,7 @@ impl Blocks {
         std::array::from_fn(|axis| self.grid[axis] / self.factors[axis])
     }
 
-    /// Returns the parts of the rows of voxels that a row of blocks consists of.
+    /// Returns the row segments of voxels that form a row of blocks.
     fn rows<'a, T>(&self, values: &'a [T], row: usize) -> impl Iterator<Item = &'a [T]> {
         let (Self { grid: [nx, ny, _], factors: [_, fy, fz] }, [bx, by, _]) = (*self, self.count());
         let (j, k, length) = (row % by * fy, row / by * fz, bx * self.factors[0]);
@@ -95,7 +95,7 @@ fn most_frequent<T: Number + PartialOrd + Default>(block: &mut [T]) -> T {
 }
 
 impl Voxels {
-    /// Turns each block of voxels into one voxel.
+    /// Combines the voxels of each block into one voxel.
     pub(crate) fn pool(&self, blocks: Blocks, how: Pooling) -> Self {
         match (how, self) {
             (Pooling::Mean, Self::F64(values)) => Self::F64(blocks.means(values, |mean| mean)),

@@ -645,7 +645,7 @@ if sys.argv[1:]:
 for name in wanted:
     MAKERS[name]()
 for kind, told in expected.items():
-    # files that were there before keep their places
+    # the order of existing entries is kept
     files = sorted(told, key=lambda file: order.index(file) if file in order else len(order))
     expected[kind] = {file: told[file] for file in files}
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
