@@ -23,8 +23,8 @@ pub enum SpaceChoice {
 }
 
 impl SpaceChoice {
-    /// Returns a grid in the chosen frame. `file` is the frame of the volume's file, if known;
-    /// files of older versions do not contain it, and count as LPS.
+    /// Returns a grid in the chosen frame. `file` is the frame of the volume's file. If it is
+    /// unknown, as in files written by older versions, LPS is assumed.
     ///
     /// # Errors
     /// If RAS is chosen and the grid has no anatomical frame.
@@ -33,7 +33,7 @@ impl SpaceChoice {
             Self::Ras if geometry.space == Space::Unnamed => {
                 return Err(Error::input(
                     "--space ras: the input names no anatomical space",
-                    "its coordinates do not say where left and right are",
+                    "its coordinates do not define left and right",
                     "omit --space (SPACE=) to keep its coordinates, or convert the volume to NIfTI or NRRD with a space",
                 ));
             }

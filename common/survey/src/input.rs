@@ -46,7 +46,7 @@ pub struct InputArgs {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spacing(pub [f64; 3]);
 
-/// Number of voxels that become one along each axis.
+/// Number of voxels that are joined into one along each axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Factors(pub [usize; 3]);
 
@@ -83,7 +83,7 @@ impl InputArgs {
         Ok(read_volume_with(&self.path, &ReadOptions { series: self.series.as_deref(), spacing })?)
     }
 
-    /// Reads the whole volume, as an input of the run.
+    /// Reads the whole volume, and records it as an input of the run.
     ///
     /// # Errors
     /// If the volume cannot be read, or is also an output.
@@ -94,12 +94,12 @@ impl InputArgs {
         Ok(volume)
     }
 
-    /// Reads the volume, as an input of the run, and crops and downsamples it. Prints the remarks
-    /// of the reader. `kind` determines how blocks of voxels are joined. If it is `None`, it is
-    /// detected from the values.
+    /// Reads, crops and downsamples the volume, and records it as an input of the run. Prints the
+    /// remarks of the reader. `kind` determines how blocks of voxels are joined; `None` detects the
+    /// kind from the values.
     ///
     /// # Errors
-    /// If the volume or the mask cannot be read, or if too few voxels would be left.
+    /// If the volume or the mask cannot be read, or if too few voxels would remain.
     pub fn load_part(&self, kind: Option<Kind>, context: &Context) -> Result<Volume> {
         let mut volume = self.load(context)?;
         volume.remarks.iter().for_each(|remark| context.warn(remark));
@@ -114,10 +114,10 @@ impl InputArgs {
         Ok(volume)
     }
 
-    /// Returns the box of voxels that `--crop` keeps. A mask becomes an input of the run.
+    /// Returns the box of voxels that `--crop` keeps. Records a mask as an input of the run.
     ///
     /// # Errors
-    /// If the mask cannot be read, or if too few voxels would be left.
+    /// If the mask cannot be read, or if too few voxels would remain.
     pub fn region(&self, geometry: &Geometry, context: &Context) -> Result<Option<VoxelBox>> {
         let Some(crop) = &self.crop else { return Ok(None) };
         let kept = crop.locate(&self.path, geometry)?;
@@ -130,7 +130,7 @@ impl InputArgs {
     /// Joins blocks of voxels, if `--downsample` is given, and reports the new grid.
     ///
     /// # Errors
-    /// If fewer than two voxels would be left along an axis.
+    /// If fewer than two voxels would remain along an axis.
     pub fn downsample(&self, volume: &mut Volume, kind: Kind, context: &Context) -> Result<()> {
         let Some(Factors(factors)) = self.downsample else { return Ok(()) };
         let _step = context.step("downsample");
@@ -179,8 +179,8 @@ impl InputArgs {
         Ok(())
     }
 
-    /// Adds the options that were given to the parameters of a run. A mask is given by its file
-    /// name.
+    /// Adds the options that are set to the parameters of a run. The parameter for a mask is its
+    /// file name.
     pub fn add_to(&self, parameters: &mut Value) {
         let given = [
             ("series", self.series.as_ref().map(|series| json!(series))),
@@ -195,7 +195,7 @@ impl InputArgs {
         }
     }
 
-    /// Names the volume for error messages, with the region that was kept.
+    /// Returns the name of the volume for error messages, with the kept region.
     pub fn name(&self) -> String {
         match &self.crop {
             None => self.path.display().to_string(),

@@ -1,5 +1,5 @@
 //! The stage `read`, which converts volumes in formats that the other stages do not read: HDF5,
-//! MATLAB and Zarr. The program is written in Python and is in the folder of `tetmesh-check`.
+//! MATLAB and Zarr. The program is written in Python and is installed beside `tetmesh-check`.
 
 use crate::program::{self, Ended};
 use crate::settings::Settings;
@@ -12,12 +12,12 @@ use std::path::{Path, PathBuf};
 /// Name of the program.
 pub(crate) const PROGRAM: &str = "isoparticles-read";
 
-/// Returns whether a volume has to be converted.
+/// Returns whether a volume must be converted.
 pub(crate) fn is_needed(volume: &Path) -> bool {
     foreign_content(volume).is_some()
 }
 
-/// Returns whether the settings name a volume that has to be converted.
+/// Returns whether `INPUT` is a volume that must be converted.
 pub(crate) fn is_set(settings: &Settings) -> bool {
     settings.get("PHANTOM").is_none() && settings.get("INPUT").is_some_and(|path| is_needed(Path::new(path)))
 }
@@ -45,7 +45,7 @@ pub(crate) fn check(volume: &Volume, settings: &Settings) -> Result<()> {
     }
 }
 
-/// A converted volume. It is removed together with this value.
+/// A converted volume in a temporary folder. Dropping this value deletes the folder.
 #[derive(Debug)]
 pub struct Converted(tempfile::TempDir);
 
@@ -60,8 +60,8 @@ impl Converted {
 /// Converts a volume for `isoparticles-volume info`, if this is needed.
 ///
 /// # Errors
-/// If DATASET is set for a volume without named arrays, or if the volume cannot be converted. In
-/// the second case, the program has printed the reason.
+/// If DATASET is set for a volume without named arrays, or if the volume cannot be converted. The
+/// program has then printed why the conversion failed.
 pub fn for_info(volume: &Path, settings: &Settings, programs: &Programs) -> Result<Option<Converted>> {
     check(&Volume::At(volume.to_path_buf()), settings)?;
     if !is_needed(volume) {

@@ -80,7 +80,7 @@ impl Volume {
         Ok(hash?)
     }
 
-    /// Writes the volume as a VTK image, with a history in JSON. A stage cannot use it afterwards.
+    /// Writes the volume as a VTK image, with a history in JSON. The volume is then unusable.
     fn write(&self, py: Python<'_>, path: PathBuf, history: &str) -> PyResult<()> {
         let volume = self.take()?;
         let history: History =

@@ -1,5 +1,5 @@
-//! Crops and downsamples the input, and reports the effect on the object: the voxels that are cut
-//! away, the contact with the new border, and the change in volume.
+//! Crops and downsamples the input, and reports the effect on the object: the number of voxels cut
+//! away and of voxels at the new border, and the change in volume.
 
 use crate::Inside;
 use crate::args::Args;
@@ -23,10 +23,10 @@ const MOST_ROWS: usize = 12;
 /// Crops the volume, checks its kind, and downsamples it, according to the options.
 ///
 /// # Errors
-/// If too few voxels would be left, or if the kind of the volume does not match the options.
+/// If too few voxels would remain, or if the kind of the volume does not match the options.
 pub(crate) fn reduce(args: &Args, mut volume: Volume, context: &Context) -> Result<Volume> {
     if let Some(kept) = args.input.region(&volume.geometry, context)? {
-        // a byte per voxel marks the object
+        // the mask of the object has one byte per voxel
         check_memory(&args.input.path, volume.geometry.voxel_count() as u64)?;
         let step = context.step("crop");
         let cut = Parts::of(args, &volume).map(|parts| parts.cut(&volume, kept));
@@ -57,7 +57,7 @@ enum Parts {
 }
 
 impl Parts {
-    /// Returns the parts, or `None` if a label is not in the volume, which is an error later on.
+    /// Returns the parts, or `None` if a label is not in the volume. A later step reports it.
     fn of(args: &Args, volume: &Volume) -> Option<Self> {
         if let Some(iso) = args.iso {
             return Some(Self::Iso(iso as f32, args.inside));
@@ -135,8 +135,8 @@ impl Parts {
         }
     }
 
-    /// Counts the voxels of the object outside the kept box, and those at its faces that are not at
-    /// the border of the volume.
+    /// Counts the voxels of the object outside the kept box, and those at each face where the box
+    /// cuts through the volume.
     fn cut(&self, volume: &Volume, kept: VoxelBox) -> Cut {
         let (mask, geometry) = (self.mask(volume), &volume.geometry);
         let count = |part: VoxelBox| -> usize {
@@ -202,7 +202,7 @@ struct Cut {
     all: usize,
     /// Of these, the voxels that are cut away.
     away: usize,
-    /// Voxels of the object at each new face of the border, by the name of the face.
+    /// Name of each face that cuts the object, and the number of object voxels at this face.
     at_border: Vec<(String, usize)>,
 }
 

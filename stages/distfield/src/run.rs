@@ -69,7 +69,7 @@ pub struct Made {
 }
 
 /// Computes F, or the indicators of several materials, from a whole volume, which is first cropped
-/// and downsampled. Messages call the volume by the path in `args`.
+/// and downsampled. Messages contain the path in `args`.
 ///
 /// # Errors
 /// If the volume does not contain the selected surface, if there is not enough memory, or if the

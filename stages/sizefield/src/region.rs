@@ -276,7 +276,7 @@ mod tests {
         assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
     }
 
-    /// A ball is in the frame of F. A file of points is in its own frame, if it names one.
+    /// A ball is in the frame of F. A file of points is in its own frame, if it has one.
     #[test]
     fn balls_and_points_are_placed_in_both_frames() {
         let folder = tempfile::tempdir().unwrap();

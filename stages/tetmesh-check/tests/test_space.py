@@ -125,7 +125,7 @@ def test_every_file_differs_by_the_signs_of_x_and_y(tmp_path: Path, run: Run) ->
 
 @NEEDS_HXT
 def test_labels_are_found_in_both_frames(tmp_path: Path, run: Run) -> None:
-    """The volume is in LPS, as ``read_volume`` returns every anatomical one."""
+    """``read_volume`` returns every anatomical volume in LPS."""
     values = np.ones((24, 24, 24), dtype=np.uint8)
     values[:12] = 2
     values[:, :12] += 2

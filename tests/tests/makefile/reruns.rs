@@ -198,7 +198,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     assert!(one == other, "the resumed run differs from the unbroken one");
 }
 
-/// A mask in CROP counts by its content, as INPUT does.
+/// A change of the content of a mask in CROP is detected, as for INPUT.
 #[test]
 fn another_region_or_resolution_remakes_the_case() {
     let case = Case::new();

@@ -44,7 +44,7 @@ def _read(
 ) -> tuple[Surface, GridField | None, GridField | None, InputVolume | None]:
     """Read the surface, h, F and the labels; refuse a surface that needs too much memory.
 
-    All are in LPS. A surface that states no frame is in that of the field h.
+    All are in LPS. A surface without a frame is assumed to be in the frame of the field h.
     """
     surface = read_surface(arguments.surface)
     context.add_input(arguments.surface, surface.history)
@@ -149,7 +149,7 @@ def _currents(task: Task, filled: Filled) -> Forward | None:
     arguments, sides, found = task.arguments.forward, task.surface.sides, filled.conformity
     if arguments.source is None or sides is None or found is None or found.faults:
         return None
-    # the same signs convert positions and directions, in both ways
+    # positions and directions change the same signs, from LPS to RAS and back
     density = task.surface.shown(np.array(arguments.density))
     return Forward(arguments, sides, task.surface.triangles, found, density)
 

@@ -17,11 +17,11 @@ _SIGNS = np.array([-1.0, -1.0, 1.0])
 _STATED = re.compile(rb"isoparticles [^\n]*world frame (LPS|RAS)")
 """Frame in the header of a surface without field data: PLY, STL, OBJ or legacy VTK."""
 _HEADER_BYTES = 256
-"""The line with the frame comes first in these formats, after at most 48 bytes."""
+"""In these formats, the frame is in the first line, after at most 48 bytes."""
 
 
 def turned(points: Points) -> Points:
-    """Convert positions from LPS to RAS, or back; no coordinate is rounded.
+    """Convert positions from LPS to RAS, or back. Only signs change, so the result is exact.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def turned(points: Points) -> Points:
 
 
 def space_of(dataset: pv.DataSet, path: Path) -> str | None:
-    """Return the frame that a file states: ``lps``, ``ras``, or ``None`` for another or none.
+    """Return the frame that a file contains: ``lps``, ``ras``, or ``None`` for another or none.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def space_of(dataset: pv.DataSet, path: Path) -> str | None:
 
 
 def in_lps(dataset: pv.DataSet, path: Path) -> pv.DataSet:
-    """Turn a data set that is in RAS to LPS. Vector arrays keep the frame of the file.
+    """Convert a data set in RAS to LPS. Vector arrays remain in the frame of the file.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def in_lps(dataset: pv.DataSet, path: Path) -> pv.DataSet:
 
 
 def output_space(choice: str | None, own: str | None, scanner: str | None) -> str | None:
-    """Return the frame of the output: ``lps``, ``ras``, or ``None`` if the input states none.
+    """Return the frame of the output: ``lps``, ``ras``, or ``None`` if the input has none.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def output_space(choice: str | None, own: str | None, scanner: str | None) -> st
     own
         The frame of the surface.
     scanner
-        The frame of the volume's file. Histories of older versions do not contain it.
+        The frame of the volume's file, or ``None`` if unknown, as in files of older versions.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def output_space(choice: str | None, own: str | None, scanner: str | None) -> st
     if own is None and choice == "ras":
         raise StageError(
             "--space ras: the surface names no anatomical space",
-            "its coordinates do not say where left and right are",
+            "its coordinates do not define left and right",
             "omit --space to keep its coordinates, or use the .vtp surface of a volume with such a space",
         )
     if own is None or choice is None:

@@ -102,7 +102,7 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     for dimension, sets in ((3, regions), (2, parts)):
         made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
     meshio.write(path, made, file_format="gmsh22", binary=False)
-    # some programs skip other sections only before the nodes
+    # some programs skip sections that they do not know only before the nodes
     header, end, rest = path.read_text(encoding="utf-8").partition("$EndMeshFormat\n")
     path.write_text(f"{header}{end}$Comments\n{_comment(mesh)}\n$EndComments\n{rest}", encoding="utf-8")
 

@@ -93,7 +93,7 @@ class MarkedMesh:
     materials: list[dict[str, Any]] | None = None
     """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
     space: str | None = None
-    """World frame of the files: lps, ras, or ``None`` if that of ``points`` is unknown, too."""
+    """World frame of the files: lps, ras, or ``None`` if the frame of ``points`` is unknown."""
 
     @property
     def shown(self) -> Points:

@@ -25,7 +25,7 @@ _FORMAT = 2
 
 
 def _add_space(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
-    """Store the world frame in the form of the Rust stages."""
+    """Store the world frame as the Rust stages do."""
     add_text(dataset, "space", json.dumps((mesh.space or "unnamed").capitalize()))
 
 

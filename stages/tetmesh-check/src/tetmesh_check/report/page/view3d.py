@@ -85,7 +85,7 @@ class ViewMesh:
 
 
 def is_anatomical(dataset: pv.DataSet) -> bool:
-    """Whether a file of the pipeline says that its world is that of the body (LPS or RAS).
+    """Return whether the world frame in a file of the pipeline is anatomical: LPS or RAS.
 
     Parameters
     ----------
