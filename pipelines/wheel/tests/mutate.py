@@ -44,7 +44,7 @@ def attempt(kind: str, path: Path, dataset: str) -> bool:
             for _ in stored.slabs():
                 pass
     except Exception as problem:
-        error = worker.told(path, problem)
+        error = worker.as_error(path, problem)
         assert isinstance(error, Error)
         assert all(isinstance(part, str) and part for part in (error.what, error.why, error.next))
         return False

@@ -1,7 +1,7 @@
-"""Volumes in files that Python packages read: HDF5, MATLAB and OME-Zarr.
+"""Reads HDF5, MATLAB and OME-Zarr files with Python packages.
 
-The packages read in a process of their own (``isoparticles.formats.worker``), which passes the
-voxels on in slabs. A file that crashes a package therefore ends in an :class:`Error`.
+The packages run in a separate process (``isoparticles.formats.worker``), which sends the voxels in
+slabs. If a file crashes a package, only this process ends, and the caller gets an :class:`Error`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STARTS = {
 PACKAGES = {"hdf5": "h5py", "matlab": "scipy", "matlab 7.3": "h5py", "zarr": "zarr"}
 """The package that reads each format."""
 PATIENCE_SECONDS = 300.0
-"""Maximum time between two messages of the process. A slab of 64 MB takes below 1 s."""
+"""Maximum time between two messages of the process. A slab of 64 MB takes less than 1 s."""
 SLACK_BYTES = 1 << 30
 """Memory of the process in addition to its slabs. Zarr takes 0.3 GB with 32 threads."""
 
@@ -45,7 +45,7 @@ class Limits:
     """Callbacks of the program that reads a file."""
 
     check_memory: Callable[[int], None] = lambda _: None
-    """Refuses a number of bytes that exceeds a limit of the user."""
+    """Raises an error if a number of bytes exceeds the limit that the user has set."""
     warn: Callable[[str], None] = warn
 
 
@@ -68,7 +68,7 @@ class Grid:
     size: list[int]
     dtype: str
     steps: NDArray[np.float64]
-    """The columns lead to the next voxel along each axis, mm."""
+    """Column n is the vector from a voxel to the next one along axis n, mm."""
     origin: NDArray[np.float64]
     is_lps: bool
     names: list[tuple[str, int]]
@@ -76,7 +76,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Given:
-    """The geometry that the caller gives, in the order x, y, z."""
+    """The geometry given by the caller, in the order x, y, z."""
 
     spacing: NDArray[np.float64] | None = None
     origin: NDArray[np.float64] | None = None
@@ -88,7 +88,7 @@ class Given:
 def opened(
     path: str, dataset: str | None, given: Given, limits: Limits
 ) -> Iterator[tuple[Grid, Iterator[NDArray[Any]]]]:
-    """Find an array, and return its grid and its voxels in parts along z.
+    """Find an array. Yield its grid, and an iterator of its voxels in slabs along z.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def _warnings(path: str, found: dict[str, Any], given: Given) -> list[str]:
 
 def _start(kind: str, path: str, dataset: str | None) -> subprocess.Popen[bytes]:
     words = [sys.executable, worker.__file__, kind, path, *([dataset] if dataset else [])]
-    # threads of linear algebra would take memory from the limit of the process
+    # the threads of OpenBLAS would use memory that counts towards the limit of the process
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(
         words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
@@ -145,14 +145,14 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _died(process: subprocess.Popen[bytes], path: str, patience: Timer) -> Error:
-    """Return the error after the process has ended without a message."""
+    """Return the error for a process that has ended without a message."""
     code = process.wait()
     how = f"took more than {PATIENCE_SECONDS:g} s" if patience.finished.is_set() else f"ended with the exit code {code}"
     return Error(f"{path}: reading it {how}", "it is probably damaged", "write or copy the file again")
 
 
 def _message(process: subprocess.Popen[bytes], path: str) -> dict[str, Any]:
-    """Receive a message."""
+    """Receive a message, and raise the error that it contains, if any."""
     assert process.stdout is not None
     patience = Timer(PATIENCE_SECONDS, process.kill)
     patience.start()
@@ -173,7 +173,7 @@ def _slabs(process: subprocess.Popen[bytes], path: str, grid: Grid, limit: int) 
     assert process.stdout is not None
     nx, ny, nz = grid.size
     layers = 0
-    with suppress(BrokenPipeError):  # the next message tells how the process ended
+    with suppress(BrokenPipeError):  # the process has ended; `_message` raises the error
         process.stdin.write(f"{limit}\n".encode())
         process.stdin.flush()
     while layers < nz:
@@ -199,7 +199,7 @@ def _check_memory(path: str, found: dict[str, Any], grid: Grid, limits: Limits) 
 
 
 def _grid(path: str, found: dict[str, Any], given: Given) -> Grid:
-    """Return the grid of the file, completed by the geometry that the caller gives."""
+    """Return the grid of the file, with the given geometry where the file has none."""
     spacing, origin, axes = given.spacing, given.origin, given.axes
     if found["spacing"] is not None and found["has_unit"] and spacing is not None:
         raise Error(

@@ -19,29 +19,29 @@ from isoparticles.formats.stored import CONVERTED, NUMBERS, type_name
 
 Image = Any
 """A path, a NumPy array, an image of SimpleITK, nibabel or PyVista, or a mapping from names to
-masks, each one of these."""
+masks of these types."""
 
 UNITS_MM = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}
-"""Lengths of the units of nibabel. An unknown unit counts as mm."""
+"""Lengths of the units of nibabel in mm. An unknown unit counts as mm."""
 SPACING_MM = (1e-9, 1e6)
-"""Minimum and maximum spacing that the readers of files accept."""
+"""Minimum and maximum spacing, as in ``common/volume/src/limit.rs``."""
 ORIGIN_MM = 1e9
-"""Maximum coordinate of an origin that the readers of files accept."""
+"""Maximum coordinate of an origin, as in ``limit.rs``, which gives the reason."""
 FLAT = 1e-3
-"""Minimum determinant of the axes that the readers of files accept."""
+"""Minimum determinant of the axes, as in ``limit.rs``, which gives the reason."""
 NO_LIMITS = Limits()
 LAYERS = 64
-"""Layers of an array to copy together: a cache line of the smallest voxels."""
+"""Number of layers to copy together: a cache line of 64 bytes has as many voxels of 8 bits."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """An image as a stage takes it: a path, or a volume in memory named ``array`` or ``masks``."""
+    """The input of a stage: a path, or a volume in memory named ``array`` or ``masks``."""
 
     word: str
     volume: _native.Volume | None = None
     is_file: bool = False
-    """Whether ``word`` is a path. The volume of some files is in memory."""
+    """Whether ``word`` is a path. ``volume`` then contains the voxels of HDF5, MATLAB or Zarr."""
     words: tuple[str, ...] = ()
     """Options of ``distfield`` for reading the file."""
 
@@ -181,7 +181,7 @@ def _scalars(arrays: Any) -> NDArray[Any] | None:
 def _volume(
     array: NDArray[Any], steps: NDArray[Any], origin: NDArray[Any], space: Literal["lps", "ras"] | None = None
 ) -> Source:
-    """Copy an array once. The columns of ``steps`` lead to the next voxel along each axis, mm.
+    """Copy an array. Column n of ``steps`` is the vector from a voxel to the next along axis n, mm.
 
     ``space`` is the frame of ``steps`` and ``origin``.
     """
@@ -195,7 +195,7 @@ def _volume(
     if min(array.shape) < 2:
         raise ValueError(f"the array must have at least two voxels along each axis, but its shape is {array.shape}")
     spacing, axes = _checked(steps, origin)
-    # one part at a time, so that the order of the axes and the type change without a second copy
+    # slabs are converted one at a time, so that a new type or order needs no second array
     slabs = (np.asfortranarray(array[..., z : z + LAYERS], dtype=name) for z in range(0, array.shape[2], LAYERS))
     return Source("array", _native.Volume(slabs, name, array.shape, spacing, origin.tolist(), axes, space))
 

@@ -71,7 +71,7 @@ class Result:
 
     @property
     def space(self) -> str | None:
-        """The world frame of the positions: ``lps``, ``ras``, or None if the image names none."""
+        """The world frame of the positions: ``lps``, ``ras``, or None if it is not anatomical."""
         return self._data.space
 
     @cached_property

@@ -192,7 +192,7 @@ def _texts(name: str, option: Mapping[str, Any], value: Any) -> list[str]:
 
 def _factors(name: str, value: Any) -> str:
     """Return one whole number, or one for each axis, as a word."""
-    # arrays have __index__, but only a single number has a value for it
+    # arrays have `__index__`, but it fails unless the array is a single number
     single = isinstance(value, str) or (hasattr(value, "__index__") and not getattr(value, "ndim", 0))
     return ",".join(scalar(name, one, "whole") for one in ([value] if single else _all(name, value)))
 
@@ -204,7 +204,7 @@ def _inner(value: Any) -> str:
 
 def labels(name: str, value: Any, joint: str, forbidden: str) -> str:
     """Join labels to one word, unless a label contains one of the ``forbidden`` characters."""
-    # arrays have __index__, but only a single number has a value for it
+    # arrays have `__index__`, but it fails unless the array is a single number
     whole = isinstance(value, str) or (hasattr(value, "__index__") and not getattr(value, "ndim", 0))
     parts = [scalar(name, one, "text") for one in ([value] if whole else _all(name, value))]
     if not parts:

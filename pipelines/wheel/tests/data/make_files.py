@@ -1,10 +1,10 @@
-"""Writes the files in this folder, with the programs that people use.
+"""Writes the files in this folder with other programs.
 
     pip install ome-zarr==0.18.0 ngff-zarr==0.50.0 hdf5storage==0.2.2
     python make_files.py
 
-All files contain the array of ``VALUES``, whose axes are x, y and z. ``test_files.py`` knows their
-spacing and origin.
+All files contain the array of ``VALUES``, whose axes are x, y and z. ``test_files.py`` contains the
+expected spacings and origins.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class Variable:
     @cached_property
     def values(self) -> NDArray[Any]:
         """Read the variable."""
-        # the type of the values in the file, which may be smaller than that of the variable
+        # SciPy keeps the type of the stored values, which may be smaller than the variable's
         values: NDArray[Any] = scipy.io.loadmat(self.path, variable_names=[self.name])[self.name]
         if np.iscomplexobj(values):
             raise Error(

@@ -22,8 +22,9 @@ UNITS_MM = {
     **dict.fromkeys(("meter", "meters", "m"), 1e3),
     **dict.fromkeys(("inch", "inches"), 25.4),
 }
-"""Lengths of the units; OME-Zarr has the names of UDUNITS-2."""
+"""Lengths of units in mm. OME-Zarr uses the names of UDUNITS-2."""
 NO_UNITS = (None, "", "pixel", "pixels", "voxel", "voxels")
+"""Values of ``unit`` that do not define a length."""
 LPS = {
     "right-to-left": (1, 0, 0),
     "left-to-right": (-1, 0, 0),
@@ -121,7 +122,7 @@ def _stored(
     path: Path, name: str, array: Any, labels: Sequence[str] | None, chosen: Mapping[str, int], **more: Any
 ) -> Stored:
     axes, indices = axes_of(path, name, array, labels, "zyx", chosen)
-    # shards are read in parts, so their chunks count
+    # Zarr reads parts of shards, so the chunks in a shard determine the memory
     workers = int(zarr.config.get("async.concurrency"))
     return Stored(name, array, axes, indices, chunks=array.chunks, in_parallel=workers, **more)
 

@@ -1,4 +1,4 @@
-"""``isoparticles-read``: an HDF5, MATLAB or Zarr file as a VTK image, which all stages read."""
+"""``isoparticles-read``: converts HDF5, MATLAB and Zarr files to VTK images for the stages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tetmesh_check.parsing import Parser
 
 TOOL = "isoparticles-read"
 CHECK_OPTIONS = "--check-options"
-"""First word of a command line that is checked, but not run, as in ``tetmesh_check.cli``."""
+"""First word of a command line that is only checked, as in ``tetmesh_check.cli``."""
 EPILOG = f"""\
 exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted
 

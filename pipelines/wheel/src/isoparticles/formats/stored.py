@@ -17,6 +17,7 @@ from isoparticles._errors import Error
 SLAB_BYTES = 1 << 26
 """Size of the parts in which arrays are read. Larger parts are not faster (64 MB: 0.1 s)."""
 NUMBERS = frozenset(("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"))
+"""Types that the stages read."""
 CONVERTED = {"bool": "uint8", "float16": "float32"}
 """Types that the stages do not read, and the types to which they are converted."""
 ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
@@ -24,6 +25,7 @@ ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
 MOST_LISTED = 10
 """Maximum number of names in a message."""
 SUFFIX = re.compile(r"(?P<name>.*?):(?P<indices>\w+=\d+(,\w+=\d+)*)")
+"""A dataset with indices at its end, such as ``0:c=1,t=0``."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Stored:
 
     @property
     def dtype(self) -> str:
-        """Return the type in which the voxels are passed on."""
+        """Return the type to which the voxels are converted."""
         name = type_name(self.array)
         return CONVERTED.get(name, name)
 
@@ -174,8 +176,8 @@ def axes_of(
     for label, index in chosen.items():
         if index >= others.get(label, 0):
             given = f"{label}={index} was given"
-            told = ", ".join(f"{other} (0 to {length - 1})" for other, length in others.items()) or "no other axes"
-            raise Error(f"{subject} has {told}; {given}", "there are no such voxels", "correct the dataset")
+            present = ", ".join(f"{other} (0 to {length - 1})" for other, length in others.items()) or "no other axes"
+            raise Error(f"{subject} has {present}; {given}", "there are no such voxels", "correct the dataset")
     if min(shape[labels.index(letter)] for letter in "xyz") < 2:
         raise Error(f"{subject} is flat", "a volume has at least two voxels along each axis", "use another array")
     return list(labels), {label: chosen.get(label, 0) for label in others}

@@ -1,9 +1,9 @@
-"""Reads an array in a process of its own, because libraries may crash or hang on damaged files.
+"""Reads an array in a separate process, because libraries may crash or hang on damaged files.
 
-The arguments are the format, the path and the dataset. The process writes JSON lines to stdout: a
-description of the array, and, after a line on stdin with a memory limit in bytes, the number of
-layers of each slab, followed by the voxels of the slab with x varying fastest. A line with the key
-``error`` is the last line.
+The arguments are the format, the path and the dataset. The process writes a description of the
+array to stdout as a line of JSON, and waits for a line on stdin with a memory limit in bytes. It
+then writes each slab: its number of layers as a line of JSON, and its voxels with x varying
+fastest. If reading fails, the last line has the key ``error``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def limit_memory(limit: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit if hard < 0 else min(limit, hard), hard))
 
 
-def told(path: Path, problem: Exception) -> Error:
+def as_error(path: Path, problem: Exception) -> Error:
     """Convert an exception of a library to an error in three parts."""
     if isinstance(problem, Error):
         return problem
@@ -102,7 +102,7 @@ def serve(out: BinaryIO, kind: str, path: Path, dataset: str | None) -> None:
             out.write(slab.T.data)
         out.flush()
     except Exception as problem:
-        error = told(path, problem)
+        error = as_error(path, problem)
         send(out, {"error": [error.what, error.why, error.next]})
 
 
