@@ -144,7 +144,7 @@ Volumes in, simulation-ready meshes out.
                                                invalid rows
   make bench-solvers                           solve a known problem with every installed finite-element program,
                                                from its own file format
-  make formats                                 write a ball in every input format by other programs, and compare the
+  make formats                                 write a ball in every input format with other programs, and compare the
                                                meshes (BENCH_OPTIONS="--only dicom", --large: times to read 512^3)
   make bench-paper                             measure the paper's Tables 1 to 4, as rows of docs/results/paper.json
                                                (BENCH_OPTIONS=--quick, for example)
@@ -458,8 +458,8 @@ bench-solvers: build env
 	done
 	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
 
-# Writes one ball in every input format by the programs that people use, and compares the meshes of
-# the files. BENCH_OPTIONS="--large" measures the times to read 512^3 voxels instead.
+# Writes one ball in every input format with other programs, and compares the meshes of the files.
+# BENCH_OPTIONS="--large" measures the times to read 512^3 voxels instead.
 formats: build env $(BENCH_VENV)-formats/.made
 	@PYTHONPATH=pipelines/wheel/src $(BENCH_VENV)-formats/bin/python tests/formats.py --bin $(BIN) --work $(OUT)/formats \
 	  $(if $(wildcard $(DATA)/thorax_labels.nrrd),--data $(DATA)) $(BENCH_OPTIONS)

@@ -1,7 +1,8 @@
-"""Writers of one ball in every input format, each by a program that people use.
+"""Writes one ball in every input format, with other programs.
 
-`WRITERS` lists them. A writer gets a folder, the ball and what to write of it, and returns where it
-wrote it and how the stages must be told to read it. The array of the ball has the axes x, y and z.
+`WRITERS` lists the functions that write a file. Their arguments are a folder, the ball, and its
+kind: `scan` or `mask`. They return the path of the file, and what the stages need to read it. The
+array of the ball has the axes x, y and z.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from pydicom.uid import UID, ExplicitVRLittleEndian, JPEG2000Lossless, RLELossle
 from vtk.util.numpy_support import numpy_to_vtk
 
 TURN = np.array([[0.36, -0.8, 0.48], [0.48, 0.6, 0.64], [-0.8, 0.0, 0.6]])
-"""The unit vectors of the axes, as columns."""
+"""The unit vectors of the axes, as columns: orthonormal, with exact decimals."""
 TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 NAME = "ball"
 """Name of the segment, region or array that contains the ball."""
@@ -47,8 +48,8 @@ NAME = "ball"
 class Ball:
     """A ball as a scan (distance inward in 0.01 mm, int16) and as a mask.
 
-    The grid has a different length and spacing along each axis, an oblique pose, and a centre that
-    is not that of the ball, so that every exchange or reversal of axes changes the world position.
+    The size and the spacing of the grid differ along each axis, its axes are oblique, and the ball
+    is not at its centre. Every exchange or reversal of axes therefore changes the world position.
     """
 
     size: tuple[int, int, int] = (40, 36, 32)
@@ -84,7 +85,7 @@ class Ball:
 
     @property
     def unposed(self) -> np.ndarray:
-        """The matrix from voxels to the frame of files that have no pose."""
+        """The matrix from voxels to the world for files without a pose."""
         return np.diag([*self.spacing, 1.0])
 
 
@@ -94,27 +95,27 @@ class Written:
 
     path: Path
     matrix: np.ndarray
-    """The matrix from voxels to the world, as the writing program reads its file."""
+    """The matrix from voxels to the world, according to the program that wrote the file."""
     spacing: tuple[float, float, float] | None = None
-    """The spacing, if the file has none."""
+    """The spacing to give, if the file has none."""
     label: str = "1"
     """The number of the mask in the file, or its name if the file has names."""
     array: str | None = None
-    """If the Python package reads the file: the name of the array in it."""
+    """The name of the array, if the Python package reads the file."""
     drawn: Ball | None = None
     """The ball, if the file contains its contours instead of voxels."""
 
 
 @dataclass(frozen=True)
 class Writer:
-    """How a format is written."""
+    """A format, and the function that writes it."""
 
     name: str
     program: str
     kinds: tuple[str, ...]
     write: Callable[[Path, Ball, str], Written]
     is_large: bool
-    """Whether the times of reading are measured with a large volume of this format."""
+    """Whether reading times are measured with a large volume in this format."""
 
 
 WRITERS: list[Writer] = []
@@ -156,7 +157,7 @@ by_itk("NRRD, gzip", ".nrrd", compress=True, is_large=True)
 
 @writes("NRRD, bzip2, RAS", "pynrrd")
 def nrrd_in_ras(folder: Path, ball: Ball, kind: str) -> Written:
-    """Write a file in the space of most neuroimaging programs."""
+    """Write a file in RAS, the space of most neuroimaging programs."""
     matrix = TO_RAS @ ball.lps
     header = {"space": "RAS", "space directions": matrix[:3, :3].T, "space origin": matrix[:3, 3], "encoding": "bzip2"}
     nrrd.write(str(folder / f"{kind}.nrrd"), ball.array(kind), header)
@@ -180,7 +181,7 @@ by_itk("NIfTI-1, .nii.gz", ".nii.gz", compress=True)
 
 
 def by_nibabel(name: str, ending: str, image: Any, *, is_large: bool = False) -> None:
-    """Add a format that nibabel writes; the pose is what nibabel then reads."""
+    """Add a format that nibabel writes. The pose is the one that nibabel reads from the file."""
 
     @writes(name, "nibabel", is_large=is_large)
     def write(folder: Path, ball: Ball, kind: str) -> Written:
@@ -199,7 +200,7 @@ by_nibabel("FreeSurfer .mgz", ".mgz", nibabel.MGHImage, is_large=True)
 
 @writes("Analyze 7.5", "nibabel")
 def analyze(folder: Path, ball: Ball, kind: str) -> Written:
-    """Write a pair of files, which have no pose: nibabel puts the centre at the origin."""
+    """Write a pair of files without a pose. nibabel puts the centre of the volume at the origin."""
     path = folder / f"{kind}.img"
     image = nibabel.AnalyzeImage(ball.array(kind), None)
     image.header.set_zooms(ball.spacing)
@@ -212,7 +213,7 @@ by_itk("MetaImage .mha, zlib", ".mha", compress=True, is_large=True)
 
 @writes("MetaImage .mhd and .zraw", "itk")
 def metaimage_pair(folder: Path, ball: Ball, kind: str) -> Written:
-    """Write a header and a file of voxels by ITK."""
+    """Write a header and a voxel file with ITK."""
     image = itk.image_from_array(np.ascontiguousarray(ball.array(kind).T))
     image.SetSpacing(ball.spacing)
     image.SetOrigin(ball.origin)
@@ -252,7 +253,7 @@ def vtk_cells(folder: Path, ball: Ball, kind: str) -> Written:
 
 
 def dicom_slices(folder: Path, ball: Ball, kind: str) -> list[Path]:
-    """Write a CT as one DICOM file per slice by SimpleITK; return the files."""
+    """Write a CT as one DICOM file per slice with SimpleITK; return the files."""
     folder.mkdir(exist_ok=True)
     image = itk_image(ball, kind)
     writer = sitk.ImageFileWriter()
@@ -271,7 +272,7 @@ def dicom_slices(folder: Path, ball: Ball, kind: str) -> list[Path]:
         }  # fmt: skip
         for tag, value in tags.items():
             part.SetMetaData(tag, value)
-        # The order of names is not that of the slices.
+        # The order of the file names differs from that of the slices.
         paths.append(folder / f"{(7 * z) % ball.size[2]:04}.dcm")
         writer.SetFileName(str(paths[-1]))
         writer.Execute(part)
@@ -392,7 +393,8 @@ for kind_of_seg in ("BINARY", "FRACTIONAL", "LABELMAP"):
 def rtstruct(folder: Path, ball: Ball, _: str) -> Written:
     """Write the circles in which the slices of a CT cut the ball, as a planning program does.
 
-    The mesh is not exactly that of the mask: centres within 0.01 voxel of a contour are inside.
+    The mesh differs slightly from that of the mask: centres within 0.01 voxel of a contour are
+    inside.
     """
     slices = dicom_slices(folder / "ct", ball, "scan")
     first = pydicom.dcmread(slices[0])
@@ -441,7 +443,7 @@ def rtstruct(folder: Path, ball: Ball, _: str) -> Written:
 def rtstruct_of_mask(folder: Path, ball: Ball, kind: str) -> Written:
     """Write outlines of a mask, which pass through the centres of its outermost pixels.
 
-    The slices are square: of others, rt-utils exchanges rows and columns.
+    The slices are square, because rt-utils exchanges rows and columns of other slices.
     """
     ball = replace(ball, size=(40, 40, 32), spacing=(1.0, 1.0, 1.3))
     dicom_slices(folder / "ct", ball, "scan")

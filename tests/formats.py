@@ -3,13 +3,13 @@
     make formats                     # installs the packages of formats-requirements.txt
     tests/formats.py --bin target/release --work out/formats [--only WORD ...] [--data DATA]
 
-`format_writers.py` writes the files by the programs that people use. The mesh of each file must
-equal that of the NRRD file to 1e-4 mm in world coordinates; for formats without a pose, the world
-is the frame of the voxels times the spacing. RAS output must differ from LPS by the signs of x and
-y only. Folders of twelve overlapping masks, made from the torso phantom and from `thorax_labels` in
-DATA, must give one complex that passes all checks, and the reassigned voxels that NumPy counts.
-With --large, only the times to read 512^3 voxels are measured. The exit code is 1 if anything
-differs.
+`format_writers.py` writes the files with other programs. The mesh of each file must equal that of
+the NRRD file to 1e-4 mm in world coordinates. For formats without a pose, world coordinates are
+voxel indices times the spacing. RAS output must differ from LPS only by the signs of x and y.
+Folders of twelve overlapping masks, made from the torso phantom and from `thorax_labels` in DATA,
+must give one conforming mesh that passes all checks. The numbers of reassigned voxels must equal
+those counted with NumPy. With --large, only the times to read 512^3 voxels are measured. The exit
+code is 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ import zarr
 from format_writers import WRITERS, Ball, Written, chosen, written
 
 TOLERANCE = 1e-4
-"""Maximum difference of the vertices in mm. Spacings and directions in float32, as in NIfTI, give
+"""Maximum difference of the vertices in mm. Spacings and directions in float32, as in NIfTI, cause
 3e-6 mm."""
 EDGE = 3.0
 """Edge length of the ball in mm: 270 vertices."""
@@ -47,24 +47,25 @@ SCALED = ["--scale-for-size", "4"]
 """Scale of the twelve masks, for edges of 4 mm. At scale 0, thin remainders of masks between others
 would force poor triangles."""
 LARGE = Ball(size=(512, 512, 512), centre=(250.0, 260.0, 245.0), radius=170.0, noise=12.0)
-"""The ball for the times of reading. Noise of 12 keeps about 5.6 bits per voxel, as in CT scans;
-without noise, there would be nearly nothing to decompress."""
+"""The ball for the times of reading. Normal noise with a standard deviation of 12 has an entropy of
+log2(12 sqrt(2 pi e)) = 5.6 bits per voxel, as in CT scans. Without noise, there would be almost
+nothing to decompress."""
 MOST_TIMES = 2.0
 """Maximum time to read a compressed volume, in units of the time to decompress it."""
 
 
 class FailedError(Exception):
-    """A program failed; the message is its error."""
+    """The failure of a program, with its error message."""
 
 
 @dataclass(frozen=True)
 class Programs:
-    """Calls the stages."""
+    """Runs the stages in a folder of programs."""
 
     folder: Path
 
     def run(self, program: str, *words: str | Path) -> None:
-        """Run a program; raise its error."""
+        """Run a program. If it fails, raise an error with its message."""
         call = [str(self.folder / program), *map(str, words), "--force"]
         done = subprocess.run(call, capture_output=True, text=True, check=False)
         if done.returncode != 0:
@@ -139,7 +140,7 @@ def field_by_package(file: Written, kind: str, field: Path) -> float:
 def difference(found: pyvista.PolyData, reference: pyvista.PolyData, matrix: np.ndarray) -> float:
     """Return the largest difference between the vertices of a mesh and those of the reference.
 
-    The matrix moves the reference. The triangles must be the same; a mirroring may reverse them.
+    The matrix transforms the reference. The triangles must be the same, except for orientation.
     """
     moved = reference.points @ matrix[:3, :3].T + matrix[:3, 3]
     same = found.n_points == reference.n_points and found.n_cells == reference.n_cells
@@ -160,7 +161,7 @@ def compare(programs: Programs, work: Path, only: list[str]) -> bool:
     references: dict[str, pyvista.PolyData] = {}
     voxel = max(ball.spacing)
     fits = True
-    print(f"Vertices must agree to {TOLERANCE:g} mm; of contours, they lie within {voxel} mm of the sphere.\n")
+    print(f"Vertices must agree to {TOLERANCE:g} mm; those of contours must lie within {voxel} mm of the sphere.\n")
     print("| format | written by | of | vertices | difference, mm | read, ms |\n|---|---|---|---|---|---|", flush=True)
     rows = [(writer, kind) for writer in WRITERS[:1] + chosen(only) for kind in writer.kinds]
     for number, (writer, kind) in enumerate(dict.fromkeys(rows)):
@@ -184,7 +185,7 @@ def compare(programs: Programs, work: Path, only: list[str]) -> bool:
 
 
 def check_spaces(programs: Programs, work: Path) -> bool:
-    """Return whether RAS and LPS differ by the signs of x and y only, in each surface format."""
+    """Return whether RAS and LPS differ only by the signs of x and y, in each surface format."""
     file = written(WRITERS[0], work / "space" / "input", Ball(), "scan")
     field = work / "space" / "field.vti"
     programs.run("distfield", file.path, "--iso", "0", "-o", field)
@@ -200,15 +201,13 @@ def check_spaces(programs: Programs, work: Path) -> bool:
             return False
         lps, ras = meshes
         same = np.array_equal(ras.points, lps.points * [-1, -1, 1]) and np.array_equal(ras.faces, lps.faces)
-        print(
-            f"RAS and LPS, .{ending}: {'the signs of x and y differ, nothing else' if same else 'FAILED'}", flush=True
-        )
+        print(f"RAS and LPS, .{ending}: {'only the signs of x and y differ' if same else 'FAILED'}", flush=True)
         fits &= same
     return fits
 
 
 def twelve_masks(labels: np.ndarray) -> dict[str, np.ndarray]:
-    """Return twelve overlapping masks: both sides of organs, parts of the body, and balls in it."""
+    """Return twelve overlapping masks: both sides of organs, both ends of the body, and balls."""
     inside = np.argwhere(labels > 0)
     low, high = inside.min(axis=0), inside.max(axis=0)
     at = np.stack(np.meshgrid(*map(np.arange, labels.shape), indexing="ij", sparse=False))
@@ -230,7 +229,7 @@ def twelve_masks(labels: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def reassigned(masks: dict[str, np.ndarray]) -> Counter[tuple[str, str]]:
-    """Count the voxels of several masks by the smallest, which keeps them, and each other mask."""
+    """Count the voxels that the smallest of overlapping masks keeps and each other mask loses."""
     names = sorted(masks, key=lambda name: int(masks[name].sum()))
     pairs: Counter[tuple[str, str]] = Counter()
     free = np.ones(next(iter(masks.values())).shape, dtype=bool)
@@ -242,7 +241,7 @@ def reassigned(masks: dict[str, np.ndarray]) -> Counter[tuple[str, str]]:
 
 
 def check_masks(programs: Programs, work: Path, name: str, volume: Path, step: int) -> bool:
-    """Mesh twelve masks made of a label map; return whether the mesh and its report are right."""
+    """Mesh twelve masks made from a label map; return whether the mesh and its report are right."""
     image = sitk.ReadImage(str(volume))[::step, ::step, ::step]
     masks = twelve_masks(sitk.GetArrayFromImage(image).T)
     here = work / name
@@ -258,17 +257,17 @@ def check_masks(programs: Programs, work: Path, name: str, volume: Path, step: i
     except FailedError as error:
         print(f"twelve masks of {name}: FAILED: {error}")
         return False
-    told = {
+    reported = {
         (pair["kept"], pair["lost"]): pair["voxels"] for pair in json.loads(report.read_text())["results"]["overlaps"]
     }
     counted = reassigned(masks)
-    verdict = f"equal NumPy's in all {len(counted)} pairs" if told == counted else "FAILED: differ from NumPy's"
+    verdict = f"equal NumPy's in all {len(counted)} pairs" if reported == counted else "FAILED: differ from NumPy's"
     print(
-        f"twelve masks of {name}: one complex, {surface.n_points} vertices, all checks passed; "
+        f"twelve masks of {name}: one conforming mesh, {surface.n_points} vertices, all checks passed; "
         f"{counted.total()} reassigned voxels {verdict}",
         flush=True,
     )
-    return told == counted
+    return reported == counted
 
 
 def files_of(path: Path) -> list[Path]:
@@ -296,8 +295,8 @@ DECODERS: dict[str, tuple[bool, Callable[[Path], object]]] = {
     "Zarr": (True, lambda path: zarr.open(path)["s0"][...]),
     "": (False, lambda path: [file.read_bytes() for file in files_of(path)]),
 }
-"""By a part of the name of a format: whether it is compressed, and what decompresses it, which is
-zlib or the library of the program that wrote it."""
+"""By a part of the name of a format: whether it is compressed, and a function that reads it,
+with zlib or the library of the program that wrote it."""
 
 
 def seconds_of(action: Callable[[], object]) -> float:
@@ -311,7 +310,7 @@ def seconds_of(action: Callable[[], object]) -> float:
 
 
 def read_times(programs: Programs, work: Path, only: list[str]) -> bool:
-    """Print the times to read the large scan; return whether they are short enough."""
+    """Print the times to read the large scan; return whether none exceeds ``MOST_TIMES``."""
     fits = True
     print("| format | written by | MB | only decompress, s | read, s | ratio |\n|---|---|---|---|---|---|", flush=True)
     for writer in [writer for writer in chosen(only) if writer.is_large]:
