@@ -96,7 +96,7 @@ fn one_scan_is_the_same_volume_in_all_objects() {
         assert!((ours.spacing - theirs.spacing).length() < 1e-7, "{file}: {}", ours.spacing);
         assert!(ours.directions.abs_diff_eq(theirs.directions, 1e-7), "{file}: {}", ours.directions);
     }
-    // the segmentation of the voxels of 1500 - 1024 HU
+    // the segment consists of the voxels of 1500 - 1024 HU
     let whole = read("seg_whole.dcm");
     let inside: Vec<bool> = series.voxels.to_f64().iter().map(|&value| value == 476.0).collect();
     assert_eq!(whole.label_mask(&[LayerLabel { layer: 0, label: 1 }]), inside);
@@ -207,7 +207,7 @@ fn contours_without_slices_get_a_grid_of_their_own() {
     let options = ReadOptions { spacing: Some(DVec3::new(0.75, 0.75, 3.0)), ..ReadOptions::default() };
     let given = read_volume_with(&data("contours/alone.dcm"), &options).expect("with a spacing");
     assert!(given.geometry.spacing.abs_diff_eq(DVec3::new(0.75, 0.75, 3.0), 1e-9), "{}", given.geometry.spacing);
-    // on pixels of the scan, the masks are those of the scan
+    // with the pixel size of the scan, the masks equal those on the grid of the scan
     let structures = read("structures/rs.dcm");
     for segment in &structures.segments {
         let at = given.segment_named(&segment.name).expect("there");
@@ -217,10 +217,10 @@ fn contours_without_slices_get_a_grid_of_their_own() {
     // the slices beside the contours determine the grid, so they are files of the volume as well
     assert_eq!(data_files(&data("structures/rs.dcm")).expect("read").len(), 5);
     assert_eq!(data_files(&data("seg.dcm")).expect("read").len(), 0);
-    // a grid that no memory can hold is refused before the contours are drawn on it
+    // a grid that exceeds the memory is refused before contours are drawn on it
     let tiny = ReadOptions { spacing: Some(DVec3::splat(2e-9)), ..ReadOptions::default() };
     read_volume_with(&data("contours/alone.dcm"), &tiny).expect_err("too many pixels");
-    // files with a spacing accept no other
+    // a spacing is refused for files that contain one
     for file in ["structures/rs.dcm", "seg.dcm", "enhanced.dcm", "series"] {
         let error = read_volume_with(&data(file), &options).expect_err(file);
         assert!(error.to_string().contains("contains the spacing"), "{error}");

@@ -60,7 +60,7 @@ impl Answers {
         let folder = CaseFolder::new(Path::new("OUT"), "NAME");
         let mut known = Known::default();
         for stage in STAGES.iter().map(|stage| stage.stage) {
-            // The options of `read` have no effect on other options, and it needs its input.
+            // `read` is not checked: it needs its input, and its options affect no other stage.
             if stage == "read" || !runs(stage, &case.volume) {
                 continue;
             }

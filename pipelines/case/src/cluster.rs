@@ -86,7 +86,7 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
             name: row.name.clone(),
             line: row.line,
             settings: BTreeMap::new(),
-            // A volume that has to be converted cannot be described before its first stage.
+            // A volume that must be converted cannot be described before its first stage.
             info: row
                 .input()
                 .filter(|path| path.exists() && !read::is_needed(path))

@@ -349,7 +349,7 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_missing_compression_is_named(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        # the number of no filter
+        # no filter has this number
         file.create_dataset("v", (8, 8, 8), "u1", chunks=(4, 4, 4), compression=32999, allow_unknown_filter=True)
     with pytest.raises(iso.Error, match="is compressed by the filter 32999, which is not installed"):
         read(tmp_path / "a.h5")
@@ -383,7 +383,7 @@ def test_mutated_files_raise_no_other_errors(kind: str, tmp_path: Path) -> None:
         done = subprocess.run(words, capture_output=True, text=True, check=False)
         if done.returncode == 0:
             break
-        # a crash or a hang of a library; the package reads in a process of its own for this reason
+        # a library crashed or hung; for this reason, the package reads in a separate process
         assert done.returncode < 0, done.stderr
         first = int(done.stdout.split()[-1]) + 1
 

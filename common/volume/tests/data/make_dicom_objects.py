@@ -1,4 +1,4 @@
-"""Write DICOM objects with highdicom, pydicom and rt-utils, and what these programs read from them.
+"""Write DICOM objects with highdicom, pydicom and rt-utils, and the values that these read.
 
     pip install highdicom pydicom pylibjpeg-openjpeg pyjpegls rt-utils
     python make_dicom_objects.py
@@ -169,7 +169,7 @@ def make_images():
     save(legacy, "legacy.dcm")
     expected["volumes"]["legacy.dcm"] = told(*from_highdicom(hd.imread(HERE / "legacy.dcm").get_volume()))
 
-    # OpenJPEG compresses no smaller frames
+    # OpenJPEG cannot compress smaller frames
     large = np.repeat(np.repeat(scan(), 6, axis=0), 6, axis=1)[:, :, :2]
     signed = (large.astype(int) * 40 - 30000).astype(np.int16)
     for name, syntax, array in [
@@ -234,7 +234,7 @@ def make_segmentations():
 
 
 def make_structures():
-    """rt-utils needs axis-aligned, square slices of square pixels."""
+    """Write contours. rt-utils requires axis-aligned, square slices with square pixels."""
     global SIZE, SPACING
     SIZE, SPACING = (7, 7, 5), np.array([0.75, 0.75, 3.0])
     series = slices(np.eye(3), "upright")

@@ -68,7 +68,7 @@ class Surface:
 
 
 def read_dataset(path: Path) -> pv.DataSet:
-    """Read a file with PyVista, in LPS if it names an anatomical frame.
+    """Read a file with PyVista, and convert it to LPS if it has an anatomical frame.
 
     Exceptions are converted to errors in three parts.
 
