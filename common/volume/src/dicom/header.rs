@@ -1,11 +1,9 @@
 //! Reads elements of DICOM headers, and creates the errors for missing and invalid ones.
 
-use super::source;
 use crate::error::bad;
 use crate::error::{Error, Result};
 use dicom_dictionary_std::tags;
 use dicom_object::{InMemDicomObject, Tag};
-use std::io::BufReader;
 use std::path::Path;
 
 /// The elements of a DICOM file, or of an item in one of its sequences.
@@ -97,29 +95,17 @@ impl<'a> Header<'a> {
     }
 }
 
-/// Opens a DICOM file for dicom-rs.
-pub(super) fn opened(path: &Path) -> Result<BufReader<Box<dyn source::Source>>> {
-    let opened = source::open(path).map(|(reader, _)| reader);
-    opened.map_err(|error| Error::file(path, "read", error, "copy or export the file again"))
+/// Creates the error for a file that the operating system cannot read.
+pub(super) fn unreadable(path: &Path, error: std::io::Error) -> Error {
+    Error::file(path, "read", error, "copy or export the file again")
 }
 
-/// Creates the error for a file that dicom-rs cannot parse.
-pub(super) fn damaged(path: &Path, error: &impl std::error::Error) -> Error {
+/// Creates the error for a file whose elements cannot be read, for the given reason.
+pub(super) fn damaged(path: &Path, damage: &str) -> Error {
     bad(
         path,
-        format!("cannot be read as DICOM: {}", reason(error)),
+        format!("cannot be read as DICOM: {damage}"),
         "it is truncated or damaged",
         "copy or export the file again, or move it to another folder if it is not a slice",
     )
-}
-
-/// Joins the messages of an error and all its causes.
-fn reason(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut source = error.source();
-    while let Some(cause) = source {
-        text = format!("{text}: {cause}");
-        source = cause.source();
-    }
-    text
 }

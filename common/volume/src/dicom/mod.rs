@@ -10,9 +10,9 @@
 //! The dicom-rs crates parse the files.
 
 mod choose;
+mod elements;
 mod header;
 mod jpeg;
-mod lengths;
 mod masks;
 mod picture;
 mod pixels;

@@ -1,14 +1,13 @@
 //! Reads the contents of a DICOM file: frames of a scan, a segmentation, or contours.
 
-use super::header::{Header, damaged, opened};
-use super::lengths;
+use super::elements;
+use super::header::{Header, damaged, unreadable};
 use super::segmentation::Segmentation;
 use super::slice::Slice;
 use super::structures::Structures;
 use crate::error::bad;
 use crate::error::{Error, Result};
 use dicom_dictionary_std::{tags, uids};
-use dicom_object::OpenFileOptions;
 use std::path::{Path, PathBuf};
 
 /// A DICOM file that contains an image or contours.
@@ -65,27 +64,21 @@ impl Picture {
     /// # Errors
     /// If the operating system reports an error.
     pub(super) fn read(path: &Path) -> Result<Found> {
-        let walk =
-            lengths::walk(path).map_err(|error| Error::file(path, "read", error, "copy or export the file again"))?;
-        let unread =
-            |error| Found::Unread(Unread { path: path.to_path_buf(), class: None, series: walk.series.clone(), error });
-        if !walk.is_whole {
-            return Ok(unread(bad(
-                path,
-                "has an element that extends beyond the end of the file, or cannot be parsed",
-                "it is truncated or damaged",
-                "copy or export the file again, or move it to another folder if it is not a slice",
-            )));
+        let elements = elements::read(path, false).map_err(|error| unreadable(path, error))?;
+        let header = Header { path, object: &elements.object };
+        let uid = header.text(tags::SERIES_INSTANCE_UID);
+        if let Some(damage) = elements.damage {
+            let series = Some(uid).filter(|uid| !uid.is_empty());
+            return Ok(Found::Unread(Unread {
+                path: path.to_path_buf(),
+                class: None,
+                series,
+                error: damaged(path, &damage),
+            }));
         }
-        let object = match OpenFileOptions::new().read_until(tags::PIXEL_DATA).from_reader(opened(path)?) {
-            Ok(object) => object,
-            Err(error) => return Ok(unread(damaged(path, &error))),
-        };
-        let header = Header { path, object: &object };
-        let class = object.meta().media_storage_sop_class_uid().trim_end_matches(['\0', ' ']);
-        let class = if class.is_empty() { header.text(tags::SOP_CLASS_UID) } else { class.to_owned() };
+        let class = if elements.class.is_empty() { header.text(tags::SOP_CLASS_UID) } else { elements.class };
         let series = SeriesName {
-            uid: header.text(tags::SERIES_INSTANCE_UID),
+            uid,
             number: header.text(tags::SERIES_NUMBER),
             description: header.text(tags::SERIES_DESCRIPTION),
             modality: header.text(tags::MODALITY),

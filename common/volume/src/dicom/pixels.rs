@@ -1,12 +1,13 @@
 //! Decodes the pixels of the frames of a DICOM file, and converts them to values.
 
-use super::header::{Header, damaged, opened};
+use super::elements::{self, Elements};
+use super::header::{Header, damaged, unreadable};
 use super::{jpeg, rle};
 use crate::error::bad;
 use crate::error::{Error, Result};
 use crate::voxels::ScalarType;
 use dicom_dictionary_std::{tags, uids};
-use dicom_object::DefaultDicomObject;
+use dicom_object::InMemDicomObject;
 use isoparticles_file::limit::check_memory;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -121,7 +122,7 @@ impl Pixels {
 /// A DICOM file in memory, with the pixels of its frames.
 pub(super) struct PixelData {
     path: PathBuf,
-    object: DefaultDicomObject,
+    object: InMemDicomObject,
     syntax: String,
     columns: usize,
 }
@@ -131,8 +132,10 @@ impl PixelData {
     pub(super) fn read(path: &Path, columns: usize) -> Result<Self> {
         let size = std::fs::metadata(path).map_or(0, |file| file.len());
         check_memory(path, size)?;
-        let object = dicom_object::from_reader(opened(path)?).map_err(|error| damaged(path, &error))?;
-        let syntax = object.meta().transfer_syntax().trim_end_matches('\0').to_owned();
+        let read = elements::read(path, true).map_err(|error| unreadable(path, error))?;
+        let Elements { object, syntax, damage: None, .. } = read else {
+            return Err(damaged(path, &read.damage.unwrap_or_default()));
+        };
         Ok(Self { path: path.to_path_buf(), object, syntax, columns })
     }
 
