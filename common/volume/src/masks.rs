@@ -40,6 +40,13 @@ pub(crate) fn mask_name(path: &Path) -> Option<String> {
     (!name.starts_with('.')).then(|| name[..name.len() - ending.len()].to_owned())
 }
 
+/// Returns whether the name of a file suggests a volume that is not read as a mask.
+pub(crate) fn is_other_volume(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| {
+        ["npy", "npz", "h5", "hdf5", "mat"].iter().any(|other| ending.eq_ignore_ascii_case(other))
+    })
+}
+
 /// Reads `files`, the masks in a folder, of which there is at least one. `read` reads a file.
 ///
 /// # Errors

@@ -112,6 +112,8 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
         return dicom::read_series(folder, &slices, options.series, options.spacing);
     }
     let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
+    let others: Vec<String> =
+        files.iter().filter(|path| masks::is_other_volume(path)).map(|path| file_name(path)).collect();
     files.retain(|path| masks::mask_name(path).is_some());
     if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
         return Err(bad(
@@ -128,7 +130,11 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if !files.is_empty() {
         without_series(folder, options)?;
         without_spacing(folder, options.spacing)?;
-        return masks::read_masks(folder, &files, read_volume);
+        let mut volume = masks::read_masks(folder, &files, read_volume)?;
+        if !others.is_empty() {
+            volume.remarks.push(format!("not read, because such files cannot be masks: {}", others.join(", ")));
+        }
+        return Ok(volume);
     }
     let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
     let hint = if names.is_empty() { String::new() } else { format!("; its subfolders are {}", names.join(", ")) };

@@ -60,6 +60,9 @@ fn masks_that_overlap_keep_all_their_voxels() {
     let layers: Vec<usize> = volume.segments.iter().map(|segment| segment.at.layer).collect();
     assert_eq!(layers, [0, 1, 0, 0], "only masks that overlap are in different layers");
     assert_eq!(volume.remarks, ["1 of 4 masks are empty: spleen"]);
+    std::fs::write(folder.path().join("kidney.npy"), "").expect("written");
+    let remarks = read_volume(folder.path()).expect("read").remarks;
+    assert!(remarks[1].ends_with("cannot be masks: kidney.npy"), "{remarks:?}");
 }
 
 #[test]
