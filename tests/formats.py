@@ -289,7 +289,7 @@ DECODERS: dict[str, tuple[bool, Callable[[Path], object]]] = {
     "MetaImage": (True, lambda path: inflated(path, b"ElementDataFile = LOCAL\n")),
     ".vti": (True, pyvista.read),
     "JPEG": (True, lambda path: [pydicom.dcmread(file).pixel_array for file in files_of(path)]),
-    "folder of slices": (True, lambda path: [tifffile.imread(file) for file in files_of(path)]),
+    "TIFF, a folder": (True, lambda path: [tifffile.imread(file) for file in files_of(path)]),
     "HDF5": (True, lambda path: h5py.File(path)["group/ball"][...]),
     ".mat 5": (True, lambda path: zlib.decompress(path.read_bytes()[136:])),
     "Zarr": (True, lambda path: zarr.open(path)["s0"][...]),

