@@ -1,6 +1,6 @@
-//! Reads the elements of DICOM files. dicom-rs 0.10 allocates up to 4 GiB for a value before it reads
-//! the value, so this reader compares the length of each value with the length of the file first. It
-//! uses the lazy reader of dicom-rs, which finds the elements without reading their values.
+//! Reads the elements of DICOM files. dicom-rs 0.10 allocates up to 4 GiB for a value before it
+//! reads the value, so the length of each value is compared with the length of the file first. The
+//! lazy reader of dicom-rs finds the elements without reading their values.
 
 use super::source::{self, PREAMBLE, START, Source};
 use dicom_core::value::{DataSetSequence, PixelFragmentSequence};
