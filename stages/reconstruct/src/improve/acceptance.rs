@@ -5,10 +5,7 @@
 //! intersecting triangles (exact predicates). A guarded grid node may move to the wrong side only
 //! if the number of nodes on the wrong side decreases.
 
-use super::constants::{
-    AGREEMENT, BELOW, FIT, FOLD, FOLLOWS, LEAST_GAIN, LEAST_MEAN_GAIN, LENGTHS, LOOSE_AGREEMENT, LOOSE_DEVIATION,
-    LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, MAX_DEVIATION, NODE,
-};
+use super::constants::{BELOW, FIT, FOLLOWS, LEAST_GAIN, LEAST_MEAN_GAIN, NODE};
 use super::surface::{Facts, Surface};
 use isoparticles_mesh::intersect::corners_cross;
 use isoparticles_mesh::spatial::{Bounds, BoxTree};
@@ -31,19 +28,19 @@ pub(super) struct Limits {
 }
 
 impl Limits {
-    /// The limits for sweeps and single moves.
+    /// The limits for sweeps and single moves. With deviations of 0.15, 0.25, 0.30 and 0.33,
+    /// trabecular bone (1,000 vertices requested) has 1,182, 1,095, 1,075 and 1,043 vertices, and a
+    /// gyroid thinner than h loses 0.8, -, 4.9 and 5.1 % of its volume.
     pub(super) const STRICT: Self =
-        Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: LOOSE_FOLD, deviation: MAX_DEVIATION, lengths: LENGTHS };
+        Self { agreement: 0.3, fold: 0.0, fold_of_f: -0.3, deviation: 0.3, lengths: [0.5, 1.6] };
 
     /// The limits for patches, and for moves on triangles that no single move within the strict
-    /// limits improves.
-    pub(super) const LOOSE: Self = Self {
-        agreement: LOOSE_AGREEMENT,
-        fold: LOOSE_FOLD,
-        fold_of_f: LOOSE_FOLD_OF_F,
-        deviation: LOOSE_DEVIATION,
-        lengths: LOOSE_LENGTHS,
-    };
+    /// limits improves: a normal deviation of up to a right angle, folds of up to 107 degrees, and
+    /// folds of F of up to 143 degrees. A fold of 107 degrees, also the strict limit for folds of
+    /// F, leaves 73 degrees inside, about as between the faces of a regular tetrahedron. The
+    /// minimum length allows detail of a tenth of h, the maximum about two edges in a row.
+    pub(super) const LOOSE: Self =
+        Self { agreement: 0.0, fold: -0.3, fold_of_f: -0.8, lengths: [0.05, 3.0], ..Self::STRICT };
 }
 
 /// What a transaction must achieve. Quality refers to the touched triangles.

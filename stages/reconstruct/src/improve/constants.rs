@@ -34,40 +34,17 @@ pub(super) const BELOW: f64 = 1e-3;
 /// patch: at most `MOST_TRIANGLES` = 4,000 triangles with at most 1 + `BELOW` each.
 pub(super) const NODE: f64 = 1e4;
 
-// --- limits of the acceptance test ---
-
-/// Minimum cosine between the normal of a triangle and grad F at its centroid, and between the
-/// normals of adjacent triangles.
-pub(super) const AGREEMENT: f64 = 0.3;
-pub(super) const FOLD: f64 = 0.0;
 /// Cosine between normal and grad F from which a triangle follows F. A fold between two such
 /// triangles is a fold of F.
 pub(super) const FOLLOWS: f64 = 0.5;
-/// Loose limits: a normal deviation of up to a right angle, folds of up to 107 degrees, and folds
-/// of F of up to 143 degrees. The limit of 107 degrees is also the strict limit for folds of F. It
-/// leaves 73 degrees inside, about as between the faces of a regular tetrahedron.
-pub(super) const LOOSE_AGREEMENT: f64 = 0.0;
-pub(super) const LOOSE_FOLD: f64 = -0.3;
-pub(super) const LOOSE_FOLD_OF_F: f64 = -0.8;
-/// Maximum distance of a centroid from F = 0, in units of h. With 0.15, 0.25, 0.30 and 0.33,
-/// trabecular bone (1,000 vertices requested) has 1,182, 1,095, 1,075 and 1,043 vertices, and a
-/// gyroid thinner than h loses 0.8, -, 4.9 and 5.1 % of its volume.
-pub(super) const MAX_DEVIATION: f64 = 0.3;
-pub(super) const LOOSE_DEVIATION: f64 = 0.35;
-/// Ranges of edge lengths in units of h, strict and loose. The loose minimum allows detail of a
-/// tenth of h. The loose maximum allows about the length of two edges in a row.
-pub(super) const LENGTHS: [f64; 2] = [0.5, 1.6];
-pub(super) const LOOSE_LENGTHS: [f64; 2] = [0.05, 3.0];
 
 // --- distance from F = 0 ---
 
 /// Tolerance of a projection onto F = 0, in voxels.
 pub(super) const PROJECTION_TOLERANCE: f64 = 1e-5;
-/// Distances in units of h. Above the first, the distance to a point of F = 0 replaces the
-/// first-order estimate |F| / |grad F| of the deviation. The second is the maximum distance at
-/// which this point is searched for.
+/// Estimate |F| / |grad F| of the deviation, in units of h, above which the distance to a point of
+/// F = 0 replaces it. The point is searched for within h.
 pub(super) const FIRST_ORDER: f64 = 0.15;
-pub(super) const MOST_DEVIATION: f64 = 1.0;
 /// `LINE_STEPS`: number of samples on each side in the search for a crossing along a line.
 /// `HALVINGS`: number of bisections of the interval found, to 2^-20, a millionth, of the sample
 /// spacing.
@@ -86,14 +63,15 @@ pub(super) const LAST_STEP: f64 = 0.01;
 /// between them keeps at least a tenth of its length. Collapses remove shorter edges.
 pub(super) const FARTHEST_ALONG: f64 = 0.9;
 /// Maximum distance between a junction curve and the midpoint of an edge on it after a move, in
-/// units of h: half the strict limit for centroids ([`MAX_DEVIATION`]). If the distance was larger
+/// units of h: half the strict limit for centroids. If the distance was larger
 /// before, it must not increase.
 pub(super) const CURVE_STRAYS: f64 = 0.15;
 /// Shares of the way to the best position, in the order tried. A shorter way may pass the
 /// acceptance test if the full way fails.
 pub(super) const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// Maximum number of passes that relocate the vertices around a move, before the acceptance test.
-pub(super) const RELOCATIONS: usize = 2;
+/// Number of passes that move the vertices around an edit before the acceptance test: relocations
+/// around a move (at most), smoothing of the four vertices of a flip.
+pub(super) const PASSES: usize = 2;
 /// Change of the minimum quality of the touched triangles, after the first pass, below which the
 /// second pass is skipped. 22,044 of 37,157 failed moves are below it, and 52 of 5,171 successful
 /// moves (`heart_label` 1 at h = 2.1 mm, `heart_ct` and `brain_parcellation` at 20,000 vertices,
@@ -113,8 +91,6 @@ pub(super) const HOPELESS_BEFORE_SETTLINGS: [f64; 3] = [-0.30, -0.008, -0.002];
 /// the heart take 0.45, 0.39, 0.45 and 0.50 s on two threads. With few blocks, threads wait for the
 /// largest block. With many blocks, more vertices lie at the faces between blocks.
 pub(super) const BLOCK: f64 = 35.0;
-/// Number of passes that smooth the four vertices of a flip before the acceptance test.
-pub(super) const SWEEPS_OF_FLIP: usize = 2;
 /// Change of the summed quality of the touched triangles, after each of these passes, below which a
 /// flip is abandoned. After the first pass, 18,210 of 19,752 failed flips are below it, and 3 of
 /// 1,125 successful flips (`heart_label` 1, h = 2.1 mm).
@@ -150,10 +126,9 @@ pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 /// half: 1 - 4/5 = 6/5 - 1.
 pub(super) const LONG: f64 = 4.0 / 3.0;
 pub(super) const SHORT: f64 = 4.0 / 5.0;
-/// Minimum quality that splits, collapses and flips keep, and minimum quality that relaxation
-/// keeps. The first is lower because the following steps improve the triangles.
+/// Minimum quality that splits, collapses and flips keep. The relaxation that follows them improves
+/// the triangles, and keeps [`TARGET`].
 pub(super) const FLOOR: f64 = 0.35;
-pub(super) const FLOOR_OF_RELAXATION: f64 = 0.6;
 
 // --- queue of bad triangles ---
 
@@ -186,22 +161,20 @@ pub(super) const REACHES: [f64; 2] = [1.6, 2.5];
 /// (the torso CT at 200, both methods), 3 of 1.8 million triangles stay below [`FIT`] with the
 /// first rate alone, and none with all three.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
-/// `CHORD`: target length as a share of the radius of curvature. At this length, nearly equilateral
-/// triangles have a small deviation and normal deviation (Amenta and Bern 1999). `FINEST` and
-/// `RIM`: lower bounds of the target length as shares of the length of the mesh, in the patch and
-/// at its rim.
-pub(super) const CHORD: f64 = 1.0;
-pub(super) const FINEST: f64 = 0.08;
+/// Share of the length of the mesh to which the target length can grow from every position in a
+/// patch up to its rim.
 pub(super) const RIM: f64 = 0.8;
 /// Target length demanded at a grid node on the wrong side, as a share of h or of the length of the
 /// mesh there, whichever is less. With 0.5, one node of the tests' ball of three sectors stays on
 /// the wrong side; with 0.25, none does.
 pub(super) const SHORTER: f64 = 0.25;
 /// Maximum distance of a centroid from F = 0 after superfluous vertices are removed, in units of h.
+/// With 0.3, a small ellipsoid of needles keeps 0.36 of its volume, instead of more than 0.5.
 pub(super) const STRAYS: f64 = 0.2;
 /// Number of rounds of splits, collapses, flips and relaxation in a patch. The same number of
-/// rounds then raises the triangles of the patch to quality `TARGET`.
+/// rounds then raises the triangles of the patch to quality [`TARGET`].
 pub(super) const ROUNDS: usize = 5;
+/// Quality that patches reach, and that relaxation and the removal of vertices keep.
 pub(super) const TARGET: f64 = 0.6;
 /// Range of edge lengths in units of the target length while a patch is remeshed.
 pub(super) const PATCH_LENGTHS: [f64; 2] = [0.35, 2.3];

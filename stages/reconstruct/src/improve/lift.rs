@@ -10,8 +10,6 @@ use rayon::prelude::*;
 /// Maximum number of triangles of a surface whose moves with relocations (0.1 ms each) are rated in
 /// parallel on copies. Above this size, copying costs more than parallelism saves.
 const MOST_COPIED: usize = 1000;
-/// Minimum number of moves per copy.
-const MOVES_A_COPY: usize = 4;
 
 /// What follows a move before the acceptance test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,7 +98,7 @@ fn rated(
         surface.rollback_to(before);
         rate.map(|rate| (rate, candidate))
     };
-    let copies = rayon::current_num_threads().min(candidates.len() / MOVES_A_COPY);
+    let copies = rayon::current_num_threads().min(candidates.len());
     let is_small = after == After::Relocations && surface.triangles.len() <= MOST_COPIED;
     let mut rated: Vec<(f64, Move)> = if is_small && copies > 1 {
         let chunks = candidates.par_chunks(candidates.len().div_ceil(copies));

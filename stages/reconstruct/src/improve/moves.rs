@@ -4,7 +4,7 @@
 
 use super::acceptance::change_of_smallest;
 use super::constants::{
-    FIRST_STEP, HOPELESS_AFTER_RELOCATIONS, LAST_STEP, LEAST_GAIN, RELOCATIONS, SHARES, SURELY_WIDE, TURN,
+    FIRST_STEP, HOPELESS_AFTER_RELOCATIONS, LAST_STEP, LEAST_GAIN, PASSES, SHARES, SURELY_WIDE, TURN,
 };
 use super::curves::{collapse_along, part_of_slide, slide};
 use super::ring::{LANES, Ring};
@@ -268,11 +268,11 @@ pub(super) fn moves_near(triangles: impl IntoIterator<Item = [u32; 3]>) -> Vec<M
     moves
 }
 
-/// Relocates vertices in turn, in up to [`RELOCATIONS`] passes. Stops if no vertex moved, or if the
+/// Relocates vertices in turn, in up to [`PASSES`] passes. Stops if no vertex moved, or if the
 /// minimum quality has changed by less than [`HOPELESS_AFTER_RELOCATIONS`].
 pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
     vertices.sort_unstable();
-    for _ in 0..RELOCATIONS {
+    for _ in 0..PASSES {
         let mut moved = false;
         for &v in &vertices {
             moved |= relocate_or_slide(surface, v);

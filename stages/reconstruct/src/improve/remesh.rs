@@ -4,7 +4,7 @@
 
 use super::Tally;
 use super::acceptance::{Goal, Limits, commit_or_rollback, total_gain};
-use super::constants::{FLOOR, FLOOR_OF_RELAXATION, HOPELESS_AFTER_SWEEP, LONG, SHORT, SWEEPS_OF_FLIP};
+use super::constants::{FLOOR, HOPELESS_AFTER_SWEEP, LONG, PASSES, SHORT, TARGET};
 use super::moves::{collapse, flip, relax, split};
 use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
@@ -16,7 +16,7 @@ pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     let all = &vec![true; surface.positions.len()];
     equalise_degrees(surface, limits, Goal::Keep { floor: FLOOR }, all, tally);
     for _ in 0..2 {
-        relax_all(surface, limits, Goal::Keep { floor: FLOOR_OF_RELAXATION }, all, tally);
+        relax_all(surface, limits, Goal::Keep { floor: TARGET }, all, tally);
     }
 }
 
@@ -93,7 +93,7 @@ pub(super) fn equalise_degrees(
         let before = cost(a_over) + cost(b_over) + cost(c_over) + cost(d_over);
         let after = cost(a_over - 1) + cost(b_over - 1) + cost(c_over + 1) + cost(d_over + 1);
         if (after < before || after == before && must_gain) && flip(surface, a, b) {
-            let mut sweeps = if must_gain { 0..SWEEPS_OF_FLIP } else { 0..0 };
+            let mut sweeps = if must_gain { 0..PASSES } else { 0..0 };
             let is_hopeful = sweeps.all(|_| {
                 [a, b, c, d].into_iter().for_each(|v| shift(surface, v));
                 total_gain(surface) >= HOPELESS_AFTER_SWEEP

@@ -3,13 +3,12 @@
 //!
 //! If edges are short compared with the radii of curvature, nearly equilateral triangles have a
 //! small deviation and normal deviation (sampling by local feature size, Amenta and Bern 1999). The
-//! target length is therefore a share of the radius of curvature. It grows with distance up to the
+//! target length is therefore the radius of curvature. It grows with distance up to the
 //! edge length at the rim of the patch. A small closed component is a patch without a rim.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{
-    CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
-    STRAYS, TARGET,
+    GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER, STRAYS, TARGET,
 };
 use super::lift::{After, lift, make};
 use super::moves::Move;
@@ -54,11 +53,9 @@ impl Place {
     }
 
     /// Returns the lower bound of the target length (mm) at `p`. From there, the target length can
-    /// still grow to [`RIM`] times the length of the mesh at the rim; it is at least [`FINEST`]
-    /// times this length.
+    /// still grow to [`RIM`] times the length of the mesh at the rim.
     fn least(&self, p: DVec3, gradation: f64) -> f64 {
-        let at_rim = RIM * self.length - gradation * (self.reach - p.distance(self.centre));
-        at_rim.max(FINEST * self.length)
+        RIM * self.length - gradation * (self.reach - p.distance(self.centre))
     }
 }
 
@@ -199,7 +196,7 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
         let foot = move |p| Some((surface.field.projected_facing(sheet, p, normal, place.length)?, sheet));
         places.into_iter().filter_map(foot)
     });
-    let demands = samples.map(|(p, sheet)| Demand { at: p, length: CHORD / curvature(surface, sheet, p) });
+    let demands = samples.map(|(p, sheet)| Demand { at: p, length: 1.0 / curvature(surface, sheet, p) });
     demands.filter(|demand| demand.length < place.length).collect()
 }
 

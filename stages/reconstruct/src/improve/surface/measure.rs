@@ -1,9 +1,7 @@
 //! Measures triangles: quality, normal deviation, deviation from F = 0, and edge lengths.
 
 use super::{DEAD, Facts, Surface};
-use crate::improve::constants::{
-    AIM, AIM_ANGLES, FIRST_ORDER, FIT, FIT_ANGLES, MOST_DEVIATION, POOR, SHORT_SIDE, SURELY_WIDE,
-};
+use crate::improve::constants::{AIM, AIM_ANGLES, FIRST_ORDER, FIT, FIT_ANGLES, POOR, SHORT_SIDE, SURELY_WIDE};
 use crate::improve::sheets::Freedom;
 use glam::DVec3;
 use isoparticles_field::spline::distance_estimate;
@@ -103,8 +101,7 @@ impl Surface<'_> {
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
         let mut deviation = distance_estimate(value, gradient).abs() / mean_target;
         if deviation > FIRST_ORDER
-            && let Some(foot) =
-                self.field.projected_facing(sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
+            && let Some(foot) = self.field.projected_facing(sheet, centroid, normal, deviation.min(1.0) * mean_target)
         {
             deviation = foot.distance(centroid) / mean_target;
         }
