@@ -15,7 +15,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2
-from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.mesh import MarkedMesh, numbered_sets
 from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_boundary, write_simvascular_volume
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Labels, Points
@@ -44,6 +44,13 @@ def _members(members: Labels) -> str:
     return ",\n".join(", ".join(map(str, numbers[at : at + 16])) for at in range(0, len(numbers), 16))
 
 
+def _cards(numbers: Labels, width: int, first: str = "", other: str = "") -> str:
+    """Format numbers in fields of this width, eight per line, each line with a keyword in front."""
+    fields = [f"{number:{width}d}" for number in numbers.tolist()]
+    lines = ["".join(fields[at : at + 8]) for at in range(0, len(fields), 8)]
+    return first + f"\n{other}".join(lines)
+
+
 _ABAQUS_FACE = np.array([3, 4, 2, 1])
 """Number of the face of a C3D4 that lies opposite its first, second, ... node: S1 is 1-2-3, S2
 1-4-2, S3 2-4-3, S4 3-4-1."""
@@ -63,7 +70,10 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-_TEMPLATES.globals.update(rows=_rows, members=_members, element_faces=_element_faces, np=np, quoteattr=quoteattr)
+_TEMPLATES.globals.update(
+    rows=_rows, members=_members, cards=_cards, element_faces=_element_faces, numbered_sets=numbered_sets, np=np,
+    quoteattr=quoteattr,
+)  # fmt: skip
 
 
 def _text(mesh: MarkedMesh, path: Path, template: str, **values: object) -> None:
@@ -95,6 +105,8 @@ def _description(mesh: MarkedMesh, path: Path, stem: str, name: str) -> None:
 
 _WRITE: dict[str, dict[str, Writer]] = {
     "inp": _texts("volume.inp"),
+    "k": _texts("volume.k"),
+    "bdf": _texts("volume.bdf"),
     "msh": {"volume.msh": write_msh},
     "msh2": {"volume.msh2": write_msh2},
     "med": {"volume.med": write_med},

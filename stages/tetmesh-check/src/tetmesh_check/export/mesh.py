@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -151,6 +152,21 @@ class MarkedMesh:
         marks[self.faces[is_cap]] = CAP
         marks[self.faces[self.outermost & ~is_cap]] = SURFACE
         return marks
+
+
+def numbered_sets(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
+    """Return the regions and the parts of the boundary, with numbers that are positive and differ.
+
+    A region with a number below 1 gets a number above those of all regions: Gmsh, LS-DYNA and
+    Nastran require positive ones. GetDP does not distinguish a region from a surface with the same
+    number, and neither do properties of Nastran. So the number of a part is its mark plus the first
+    power of ten above all regions: with only region 1, ``surface`` is 11 and ``cap`` is 12.
+    """
+    regions, parts = mesh.region_sets, mesh.part_sets
+    free = count(1 + max([0, *(own.number for own in regions)]))
+    regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
+    above = 10 ** len(str(max([0, *(own.number for own in regions)])))
+    return regions, [own._replace(number=above + own.number) for own in parts]
 
 
 def object_mesh(
