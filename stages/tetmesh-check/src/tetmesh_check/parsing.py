@@ -18,7 +18,7 @@ from tetmesh_check.errors import StageError, close
 
 FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """Formats of ``--export``."""
-LINEAR_FORMATS = ("vtp", "carp", "simvascular")
+LINEAR_FORMATS = ("vtp", "carp", "simvascular", "simnibs")
 """Formats without quadratic tetrahedra or triangles."""
 
 

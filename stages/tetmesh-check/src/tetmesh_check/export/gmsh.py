@@ -72,6 +72,23 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
         file["ENS_MAA/mesh"].attrs["DES"] = np.bytes_(_comment(mesh))
 
 
+def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
+    """Write version 2.2, binary, with the triangles first, as SimNIBS does.
+
+    Parameters
+    ----------
+    mesh
+        Linear tetrahedra, with the numbers of SimNIBS.
+    path
+        The file.
+    """
+    regions, parts = numbered_sets(mesh)
+    cells = [("triangle", mesh.faces), ("tetra", mesh.elements)]
+    numbers = [_numbers(parts, len(mesh.faces)), _numbers(regions, len(mesh.elements))]
+    made = meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(("gmsh:physical", "gmsh:geometrical"), numbers))
+    _write_msh2(mesh, made, path, binary=True)
+
+
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """Write version 2.2, as text. More programs read it than 4.1.
 
@@ -84,12 +101,18 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """
     regions, parts = numbered_sets(mesh)
     made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
-    for dimension, sets in ((3, regions), (2, parts)):
+    _write_msh2(mesh, made, path, binary=False)
+
+
+def _write_msh2(mesh: MarkedMesh, made: meshio.Mesh, path: Path, binary: bool) -> None:
+    """Write a mesh of meshio with the names of the sets and a comment."""
+    for dimension, sets in zip((3, 2), numbered_sets(mesh), strict=True):
         made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
-    meshio.write(path, made, file_format="gmsh22", binary=False)
+    meshio.write(path, made, file_format="gmsh22", binary=binary)
     # some programs skip sections that they do not know only before the nodes
-    header, end, rest = path.read_text(encoding="utf-8").partition("$EndMeshFormat\n")
-    path.write_text(f"{header}{end}$Comments\n{_comment(mesh)}\n$EndComments\n{rest}", encoding="utf-8")
+    header, end, rest = path.read_bytes().partition(b"$EndMeshFormat\n")
+    comment = f"$Comments\n{_comment(mesh)}\n$EndComments\n".encode()
+    path.write_bytes(header + end + comment + rest)
 
 
 def write_msh(mesh: MarkedMesh, path: Path) -> None:
