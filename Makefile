@@ -36,7 +36,7 @@ THREADS ?=
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
 KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
-        BACKEND TET_ORDER ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
+        BACKEND TET_ORDER FOR ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
@@ -175,6 +175,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   DOWNSAMPLE=.. join this many voxels along each axis (2 or 2,2,1)
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
+  FOR=...       also write the tetrahedra as this program expects: simnibs, brainstorm, opencarp, febio, calculix, fenicsx
   ACCEPT_LOSSES=yes  accept materials whose volume a scale changes by more than 10 %; the verdict lists them
   ACCEPT_FORCED=yes  accept elements below a limit where the surface of many materials allows no better ones;
                 the verdict counts them

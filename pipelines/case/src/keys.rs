@@ -38,7 +38,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 39] = [
+pub const KEYS: [Key; 40] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -81,6 +81,11 @@ pub const KEYS: [Key; 39] = [
         "TET_ORDER",
         Form::OneOf(&["1", "2"]),
         "the order of the tetrahedra; 2 adds mid-edge nodes, on F = 0 for edges of the surface",
+    ),
+    key(
+        "FOR",
+        Form::OneOf(&["simnibs", "brainstorm", "opencarp", "febio", "calculix", "fenicsx"]),
+        "the program to write the tetrahedra for",
     ),
     key(
         "ACCEPT_LOSSES",

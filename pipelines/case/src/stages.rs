@@ -243,7 +243,7 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
         ],
         "seed" => &[("--count", "COUNT"), ("--seed", "SEED")],
         "particles" => &[("--backend", "BACKEND"), ("--seed", "SEED")],
-        "tetmesh-check" => &[("--order", "TET_ORDER")],
+        "tetmesh-check" => &[("--order", "TET_ORDER"), ("--for", "FOR")],
         _ => &[],
     }
 }
@@ -436,6 +436,13 @@ mod tests {
             assert_eq!(sizes(one_scale), [""; 0]);
         }
         assert_eq!(sizes(&["LABELS=1"]), [""; 0], "one object");
+    }
+
+    #[test]
+    fn the_program_of_for_reaches_tetmesh_check() {
+        assert!(told(&["FOR=febio"]).contains("--for febio") && !told(&[]).contains("--for "));
+        let error = Settings::read(&["FOR=gmsh".to_owned()], &[], None, &[]).expect_err("not a program");
+        assert!(error.to_string().contains("simnibs"), "{error}");
     }
 
     #[test]

@@ -165,10 +165,10 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     for kind in FORMATS:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "b.boundary.vtp", "b.volume.boundary.h5", "b.volume.boundary.xdmf", "b.volume.elem", "b.volume.feb",
-        "b.volume.h5", "b.volume.inp", "b.volume.lon", "b.volume.med", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu",
-        "b.volume.msh", "b.volume.msh2",
-        "b.volume.pts", "b.volume.regions.csv", "b.volume.vtk", "b.volume.xdmf",
+        "b.boundary.vtp", "b.volume.bdf", "b.volume.boundary.h5", "b.volume.boundary.xdmf", "b.volume.cap.vtx", "b.volume.elem", "b.volume.feb",
+        "b.volume.h5", "b.volume.inp", "b.volume.k", "b.volume.lon", "b.volume.med",
+        "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu", "b.volume.msh", "b.volume.msh2",
+        "b.volume.pts", "b.volume.regions.csv", "b.volume.surface.vtx", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
     abaqus = meshio.read(tmp_path / "b.volume.inp")

@@ -73,7 +73,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "volume.feb": _feb,
     "volume.pts": lambda path: np.loadtxt(path, skiprows=1),
 }
-ALL = "inp,msh,msh2,med,xdmf,vtp,vtk,feb,carp,simvascular"
+ALL = "inp,k,bdf,msh,msh2,med,xdmf,vtp,vtk,feb,carp,simvascular"
 
 
 @NEEDS_HXT

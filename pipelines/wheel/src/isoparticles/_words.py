@@ -14,7 +14,7 @@ from isoparticles import _native
 
 NOT_FOR_TETRAHEDRA = frozenset(
     (
-        *("output", "sizefield", "distfield", "labels-volume", "export", "unit", "order", "pictures"),
+        *("output", "sizefield", "distfield", "labels-volume", "export", "for", "unit", "order", "pictures"),
         *("verbose", "quiet", "force", "report", "progress", "version", "help"),
     )
 )
@@ -30,6 +30,7 @@ EXTRA_KEYS = frozenset(
         "PHANTOM",
         "SPACING",
         "TET_ORDER",
+        "FOR",
         "TETMESH_OPTIONS",
         "OUT",
         "VERBOSITY",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import field as made_by
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, Literal
 from tetmesh_check.checks import Limits
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
+from tetmesh_check.export.profiles import PROFILES
 from tetmesh_check.fem.currents import ForwardArguments
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 
@@ -35,8 +37,10 @@ class Arguments:
     """Order of the tetrahedra: with 2, tetrahedra with a node on each edge are written as well."""
     pictures: Path | None = None
     labels_volume: Path | None = None
+    profile: str | None = None
+    """Program of :data:`.PROFILES` that the tetrahedra are written for."""
     exports: tuple[str, ...] = ()
-    """Further formats to write, of :data:`.FORMATS`."""
+    """Further formats to write, of :data:`.FORMATS` or of the profile."""
     space: str | None = None
     """World frame of the output: lps, ras or scanner; by default that of the surface."""
     unit: str = "mm"
@@ -74,9 +78,9 @@ class Arguments:
         """Path of the quadratic tetrahedra."""
         return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
 
-    def export_paths(self, many: bool = False) -> list[Path]:
+    def export_paths(self, many: bool = False, parts: Iterable[str] = ()) -> list[Path]:
         """Return the files of the exports. For many materials, some have other names."""
-        return export_paths(self.output, self.name, self.exports, many)
+        return export_paths(self.output, self.name, self.exports, many, parts)
 
     def output_paths(self) -> list[Path]:
         """Return the files to be written. Pictures are included only if their folder exists."""
@@ -101,12 +105,19 @@ class Arguments:
                 "add --distfield CASE.distfield.vti",
             )
         if linear := [kind for kind in self.exports if kind in LINEAR_FORMATS]:
+            option = f"--for {self.profile}" if self.profile else f"--export {','.join(linear)}"
             raise StageError(
-                f"--export {','.join(linear)} with --order 2",
+                f"{option} with --order 2",
                 f"{', '.join(linear)} cannot store quadratic elements",
-                f"omit {', '.join(linear)}, or use --order 1; quadratic elements are supported by "
+                f"omit {option if self.profile else ', '.join(linear)}, or use --order 1; quadratic elements are supported by "
                 f"{', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
             )
+
+    def refuse_names(self, names: Sequence[str]) -> None:
+        """Refuse materials that the profile cannot number; no names stand for one object."""
+        number = PROFILES[self.profile].number if self.profile else None
+        if number is not None:
+            number(names)
 
     def refuse_for_materials(self) -> None:
         """Refuse values of options that ``options.toml`` allows for one object only."""

@@ -16,9 +16,9 @@ from isoparticles._native import VERSION, number_of_bytes
 
 from tetmesh_check.errors import StageError, close
 
-FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
+FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """Formats of ``--export``."""
-LINEAR_FORMATS = ("vtp", "carp", "simvascular")
+LINEAR_FORMATS = ("vtp", "carp", "simvascular", "simnibs")
 """Formats without quadratic tetrahedra or triangles."""
 
 

@@ -12,7 +12,8 @@ from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.mesh import PARTS, MarkedMesh, interface_names
+from tetmesh_check.export.profiles import renumbered
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.currents import Forward, check_names
 from tetmesh_check.fem.solve import solve_on
@@ -181,11 +182,13 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
     sides = surface.sides
     many = sides is not None
-    exported = arguments.export_paths(many)
-    context.check_outputs(exported)
+    names = [] if sides is None else [sides.names[number] for number in sides.present]
+    arguments.refuse_names(names)
+    parts = PARTS.values() if sides is None else interface_names(sides)
+    context.check_outputs(arguments.export_paths(many, parts))
     if many:
         arguments.refuse_for_materials()
-    check_names(arguments.forward, [] if sides is None else [sides.names[number] for number in sides.present])
+    check_names(arguments.forward, names)
     task = _task(arguments, surface, sizing, labels, context)
     filled = fill(task, context)
     mesh = measure(task, filled, context)
@@ -198,9 +201,11 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         if field is not None:
             marked, more = _curve(arguments, marked, field, context)
             checks += more
+        exported = renumbered(marked, arguments.profile)
         for kind in arguments.exports:
             with context.step(f"export {kind}"):
-                export(marked, arguments.output, arguments.name, kind, arguments.unit)
-        context.results["exports"] = [path.name for path in exported]
+                export(exported, arguments.output, arguments.name, kind, arguments.unit)
+        written = arguments.export_paths(many, [own.name for own in exported.part_sets])
+        context.results["exports"] = [path.name for path in written]
         checks += solve_on(mesh, arguments.solve, arguments.solve_seconds, context, _currents(task, filled))
     return conclude(checks, filled.quality, context)

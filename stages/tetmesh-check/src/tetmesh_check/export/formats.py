@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from io import StringIO
@@ -14,8 +14,8 @@ import h5py
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2
-from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2, write_simnibs
+from tetmesh_check.export.mesh import MarkedMesh, numbered_sets
 from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_boundary, write_simvascular_volume
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Labels, Points
@@ -44,6 +44,13 @@ def _members(members: Labels) -> str:
     return ",\n".join(", ".join(map(str, numbers[at : at + 16])) for at in range(0, len(numbers), 16))
 
 
+def _cards(numbers: Labels, width: int, first: str = "", other: str = "") -> str:
+    """Format numbers in fields of this width, eight per line, each line with a keyword in front."""
+    fields = [f"{number:{width}d}" for number in numbers.tolist()]
+    lines = ["".join(fields[at : at + 8]) for at in range(0, len(fields), 8)]
+    return first + f"\n{other}".join(lines)
+
+
 _ABAQUS_FACE = np.array([3, 4, 2, 1])
 """Number of the face of a C3D4 that lies opposite its first, second, ... node: S1 is 1-2-3, S2
 1-4-2, S3 2-4-3, S4 3-4-1."""
@@ -63,7 +70,10 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-_TEMPLATES.globals.update(rows=_rows, members=_members, element_faces=_element_faces, np=np, quoteattr=quoteattr)
+_TEMPLATES.globals.update(
+    rows=_rows, members=_members, cards=_cards, element_faces=_element_faces, numbered_sets=numbered_sets, np=np,
+    quoteattr=quoteattr,
+)  # fmt: skip
 
 
 def _text(mesh: MarkedMesh, path: Path, template: str, **values: object) -> None:
@@ -72,6 +82,12 @@ def _text(mesh: MarkedMesh, path: Path, template: str, **values: object) -> None
 
 def _texts(*templates: str) -> dict[str, Writer]:
     return {template: partial(_text, template=template) for template in templates}
+
+
+def _nodes(mesh: MarkedMesh, path: Path, part: str) -> None:
+    """Write the nodes of a part of the boundary for openCARP, in the numbers of all nodes."""
+    members = [mesh.faces[own.members] for own in mesh.part_sets if own.name == part]
+    _text(mesh, path, "nodes.vtx", nodes=np.unique(members))
 
 
 def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
@@ -95,9 +111,12 @@ def _description(mesh: MarkedMesh, path: Path, stem: str, name: str) -> None:
 
 _WRITE: dict[str, dict[str, Writer]] = {
     "inp": _texts("volume.inp"),
+    "k": _texts("volume.k"),
+    "bdf": _texts("volume.bdf"),
     "msh": {"volume.msh": write_msh},
     "msh2": {"volume.msh2": write_msh2},
     "med": {"volume.med": write_med},
+    "simnibs": {"volume.msh": write_simnibs},
     "vtp": {"boundary.vtp": write_boundary},
     "vtk": {"volume.vtk": write_legacy},
     "feb": _texts("volume.feb"),
@@ -107,15 +126,17 @@ _WRITE: dict[str, dict[str, Writer]] = {
         "volume.mesh-complete.exterior.vtp": write_simvascular_boundary,
     },
 }
-"""For each format except XDMF, the files (without ``NAME.``) and the functions that write them. The
-table of regions is added to each format. ``pipelines/case/src/folder.rs`` recognizes the results of
-this stage by the beginnings ``volume`` and ``boundary``."""
+"""For each format, the files (without ``NAME.``) and the functions that write them. XDMF, the lists
+of nodes for openCARP and the table of regions are added later. ``pipelines/case/src/folder.rs``
+recognizes the results of this stage by the beginnings ``volume`` and ``boundary``."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
 
-def _files(name: str, kind: str, many: bool) -> dict[str, Writer]:
+def _files(name: str, kind: str, many: bool, parts: Iterable[str]) -> dict[str, Writer]:
     written = dict(_WRITE.get(kind, {}))
+    if kind == "carp":
+        written.update({f"volume.{part}.vtx": partial(_nodes, part=part) for part in parts})
     if kind == "xdmf":
         for stem in ("volume", f"volume.{'interfaces' if many else 'boundary'}"):
             # FEniCS opens the HDF5 file that has the name of the XDMF file
@@ -124,7 +145,9 @@ def _files(name: str, kind: str, many: bool) -> dict[str, Writer]:
     return written | {"volume.regions.csv": _regions_csv}
 
 
-def export_paths(output: Path, name: str, kinds: tuple[str, ...], many: bool = False) -> list[Path]:
+def export_paths(
+    output: Path, name: str, kinds: tuple[str, ...], many: bool = False, parts: Iterable[str] = ()
+) -> list[Path]:
     """Return the files of some formats, without duplicates, in the folder of the volume mesh.
 
     Parameters
@@ -137,8 +160,10 @@ def export_paths(output: Path, name: str, kinds: tuple[str, ...], many: bool = F
         Of :data:`.FORMATS`.
     many
         Whether there are many materials.
+    parts
+        Names of the parts of the boundary, or of the interfaces, if known.
     """
-    endings = dict.fromkeys(ending for kind in kinds for ending in _files(name, kind, many))
+    endings = dict.fromkeys(ending for kind in kinds for ending in _files(name, kind, many, parts))
     return [output.with_name(f"{name}.{ending}") for ending in endings]
 
 
@@ -154,11 +179,12 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
     name
         Name of the case.
     kind
-        One of :data:`.FORMATS`.
+        One of :data:`.FORMATS`, or of the formats of a profile.
     unit
         Unit of the coordinates: ``mm``, ``m`` or ``um``. openCARP files are always in micrometres.
     """
     scale = _PER_MM["um" if kind == "carp" else unit]
     scaled = replace(mesh, points=mesh.shown * scale)
-    for ending, write in _files(name, kind, mesh.materials is not None).items():
+    parts = [own.name for own in mesh.part_sets]
+    for ending, write in _files(name, kind, mesh.materials is not None, parts).items():
         write_atomically(output.with_name(f"{name}.{ending}"), partial(write, scaled))

@@ -14,7 +14,7 @@ import h5py
 import meshio
 import numpy as np
 
-from tetmesh_check.export.mesh import MarkedMesh, NamedSet
+from tetmesh_check.export.mesh import MarkedMesh, NamedSet, numbered_sets
 from tetmesh_check.quality import Cells, Labels
 
 _KIND = {3: 2, 6: 9, 4: 4, 10: 11}
@@ -24,21 +24,6 @@ _GMSH_NODES = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 _MED_NODES = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
 """Nodes of a tetrahedron in the order of MED: its tetrahedra (but not its triangles) are wound the
 other way, and the nodes on the edges follow."""
-
-
-def _numbered(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
-    """Return the regions and the parts with the numbers of their groups.
-
-    Gmsh omits groups with a number below 1. Such a region gets a number above those of all regions;
-    its name contains its label. GetDP does not distinguish a region from a surface with the same
-    number. So the number of a part is its mark plus the first power of ten above all regions: with
-    only region 1, ``surface`` is 11 and ``cap`` is 12.
-    """
-    regions, parts = mesh.region_sets, mesh.part_sets
-    free = count(1 + max([0, *(own.number for own in regions)]))
-    regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
-    above = 10 ** len(str(max([0, *(own.number for own in regions)])))
-    return regions, [own._replace(number=above + own.number) for own in parts]
 
 
 def _comment(mesh: MarkedMesh) -> str:
@@ -87,6 +72,23 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
         file["ENS_MAA/mesh"].attrs["DES"] = np.bytes_(_comment(mesh))
 
 
+def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
+    """Write version 2.2, binary, with the triangles first, as SimNIBS does.
+
+    Parameters
+    ----------
+    mesh
+        Linear tetrahedra, with the numbers of SimNIBS.
+    path
+        The file.
+    """
+    regions, parts = numbered_sets(mesh)
+    cells = [("triangle", mesh.faces), ("tetra", mesh.elements)]
+    numbers = [_numbers(parts, len(mesh.faces)), _numbers(regions, len(mesh.elements))]
+    made = meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(("gmsh:physical", "gmsh:geometrical"), numbers))
+    _write_msh2(mesh, made, path, binary=True)
+
+
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """Write version 2.2, as text. More programs read it than 4.1.
 
@@ -97,14 +99,20 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = _numbered(mesh)
+    regions, parts = numbered_sets(mesh)
     made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
-    for dimension, sets in ((3, regions), (2, parts)):
+    _write_msh2(mesh, made, path, binary=False)
+
+
+def _write_msh2(mesh: MarkedMesh, made: meshio.Mesh, path: Path, binary: bool) -> None:
+    """Write a mesh of meshio with the names of the sets and a comment."""
+    for dimension, sets in zip((3, 2), numbered_sets(mesh), strict=True):
         made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
-    meshio.write(path, made, file_format="gmsh22", binary=False)
+    meshio.write(path, made, file_format="gmsh22", binary=binary)
     # some programs skip sections that they do not know only before the nodes
-    header, end, rest = path.read_text(encoding="utf-8").partition("$EndMeshFormat\n")
-    path.write_text(f"{header}{end}$Comments\n{_comment(mesh)}\n$EndComments\n{rest}", encoding="utf-8")
+    header, end, rest = path.read_bytes().partition(b"$EndMeshFormat\n")
+    comment = f"$Comments\n{_comment(mesh)}\n$EndComments\n".encode()
+    path.write_bytes(header + end + comment + rest)
 
 
 def write_msh(mesh: MarkedMesh, path: Path) -> None:
@@ -120,7 +128,7 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = _numbered(mesh)
+    regions, parts = numbered_sets(mesh)
     elements = mesh.elements[:, _GMSH_NODES[: mesh.elements.shape[1]]]
     blocks = [(2, own, mesh.faces[own.members]) for own in parts]
     blocks += [(3, own, elements[own.members]) for own in regions]

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.space import turned
 from tetmesh_check.topology import Boundary
 
+PARTS = {SURFACE: "surface", CAP: "cap"}
+"""Parts of the boundary of one object, by mark."""
 _RESERVED = ("volume", "nodes", "all")
 """Names that no region may have. They are sets of all elements in ``inp``, of all nodes in ``feb``,
 and of everything in the viewer of CalculiX."""
@@ -153,6 +156,23 @@ class MarkedMesh:
         return marks
 
 
+def numbered_sets(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
+    """Return the regions and the parts of the boundary, with numbers that are positive and differ.
+
+    A region with a number below 1 gets a number above those of all regions: Gmsh, LS-DYNA and
+    Nastran require positive ones. GetDP does not distinguish a region from a surface with the same
+    number, and neither do properties of Nastran. So the number of a part is its mark plus the first
+    power of ten above all regions: with only region 1, ``surface`` is 11 and ``cap`` is 12. Marks
+    above all regions are kept.
+    """
+    regions, parts = mesh.region_sets, mesh.part_sets
+    free = count(1 + max([0, *(own.number for own in regions)]))
+    regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
+    last = max([0, *(own.number for own in regions)])
+    above = 0 if all(own.number > last for own in parts) else 10 ** len(str(last))
+    return regions, [own._replace(number=above + own.number) for own in parts]
+
+
 def object_mesh(
     points: Points,
     tetrahedra: Cells,
@@ -183,8 +203,13 @@ def object_mesh(
         for number, name in zip(numbers, names, strict=True)
     ]
     before = np.full(len(marks), NOBODY)
-    parts = {SURFACE: "surface", CAP: "cap"}
-    return MarkedMesh(points, tetrahedra, regions, boundary.triangles, boundary.owners, before, marks, table, parts)
+    return MarkedMesh(points, tetrahedra, regions, boundary.triangles, boundary.owners, before, marks, table, PARTS)
+
+
+def interface_names(sides: Sides) -> list[str]:
+    """Return the names of the interfaces between materials, in the order of their marks."""
+    names = plain_names(sides.names)
+    return plain_names([f"{names[a]}_to_{names[b]}" for a, b in sides.pairs()[0].tolist()], names)
 
 
 def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangles: Cells, sides: Sides) -> MarkedMesh:
@@ -202,6 +227,7 @@ def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangl
         Their materials.
     """
     names = plain_names(sides.names)
+    _, which = sides.pairs()
     table = [
         {
             "region": number,
@@ -211,9 +237,7 @@ def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangl
         }
         for number in sides.present
     ]
-    pairs, which = sides.pairs()
-    interfaces = plain_names([f"{names[a]}_to_{names[b]}" for a, b in pairs.tolist()], names)
-    parts = dict(enumerate(interfaces, 1))
+    parts = dict(enumerate(interface_names(sides), 1))
     return MarkedMesh(
         points, tetrahedra, found.regions, triangles, found.behind, found.before, which + 1, table, parts, sides.table
     )
