@@ -1,4 +1,4 @@
-"""Tests of profiles: each file is read back by a reader that follows the program it is meant for."""
+"""Tests of profiles: each file is read by a reader that follows the program it is meant for."""
 
 from __future__ import annotations
 

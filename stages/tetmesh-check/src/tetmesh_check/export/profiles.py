@@ -1,8 +1,9 @@
 """Profiles: the formats, unit, frame and numbers that a program expects of a mesh.
 
-``simnibs`` follows ``simnibs/utils/mesh_element_properties.py`` and ``reconstruct_unique_surface`` in
-``simnibs/mesh_tools/mesh_io.py`` of SimNIBS 4. ``brainstorm`` follows ``toolbox/io/in_tess.m`` and
-``external/other/mesh_load_gmsh4.m`` of Brainstorm: files of SimNIBS 4, in mm and RAS.
+``simnibs`` follows ``simnibs/utils/mesh_element_properties.py`` and
+``reconstruct_unique_surface`` in ``simnibs/mesh_tools/mesh_io.py`` of SimNIBS 4. ``brainstorm``
+follows ``toolbox/io/in_tess.m`` and ``external/other/mesh_load_gmsh4.m`` of Brainstorm: files of
+SimNIBS 4, in mm and RAS.
 """
 
 from __future__ import annotations
