@@ -175,7 +175,8 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   DOWNSAMPLE=.. join this many voxels along each axis (2 or 2,2,1)
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
   TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
-  FOR=...       also write the tetrahedra as this program expects: simnibs, brainstorm, opencarp, febio, calculix, fenicsx
+  FOR=...       also write the tetrahedra for this program: simnibs, brainstorm, opencarp, febio,
+                calculix or fenicsx
   ACCEPT_LOSSES=yes  accept materials whose volume a scale changes by more than 10 %; the verdict lists them
   ACCEPT_FORCED=yes  accept elements below a limit where the surface of many materials allows no better ones;
                 the verdict counts them

@@ -9,6 +9,7 @@
 //! contains several voxel centres of a mask: only if the mask is finer along one axis.
 
 use crate::error::{Result, bad};
+use crate::foreign::foreign_content;
 use crate::geometry::{Geometry, INDEX_TOLERANCE, Space};
 use crate::layers::{Label, Layers, Part};
 use crate::volume::Volume;
@@ -17,6 +18,7 @@ use glam::{DMat3, DVec3};
 use isoparticles_file::history::file_name;
 use isoparticles_file::limit::check_memory;
 use rayon::prelude::*;
+use std::ffi::OsStr;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -40,11 +42,10 @@ pub(crate) fn mask_name(path: &Path) -> Option<String> {
     (!name.starts_with('.')).then(|| name[..name.len() - ending.len()].to_owned())
 }
 
-/// Returns whether the name of a file suggests a volume that is not read as a mask.
+/// Returns whether a file is a volume in a format that is not supported for masks.
 pub(crate) fn is_other_volume(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| {
-        ["npy", "npz", "h5", "hdf5", "mat"].iter().any(|other| ending.eq_ignore_ascii_case(other))
-    })
+    let is_numpy = |ending: &OsStr| ["npy", "npz"].iter().any(|other| ending.eq_ignore_ascii_case(other));
+    !file_name(path).starts_with('.') && (path.extension().is_some_and(is_numpy) || foreign_content(path).is_some())
 }
 
 /// Reads `files`, the masks in a folder, of which there is at least one. `read` reads a file.

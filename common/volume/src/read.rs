@@ -113,7 +113,7 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     }
     let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
     let others: Vec<String> =
-        files.iter().filter(|path| masks::is_other_volume(path)).map(|path| file_name(path)).collect();
+        files.iter().filter(|path| masks::is_other_volume(path)).take(10).map(|path| file_name(path)).collect();
     files.retain(|path| masks::mask_name(path).is_some());
     if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
         return Err(bad(
@@ -132,7 +132,9 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
         without_spacing(folder, options.spacing)?;
         let mut volume = masks::read_masks(folder, &files, read_volume)?;
         if !others.is_empty() {
-            volume.remarks.push(format!("not read, because such files cannot be masks: {}", others.join(", ")));
+            volume
+                .remarks
+                .push(format!("ignored, because masks of these formats are not supported: {}", others.join(", ")));
         }
         return Ok(volume);
     }

@@ -85,7 +85,7 @@ pub const KEYS: [Key; 40] = [
     key(
         "FOR",
         Form::OneOf(&["simnibs", "brainstorm", "opencarp", "febio", "calculix", "fenicsx"]),
-        "the program to write the tetrahedra for",
+        "the program for which the tetrahedra are exported",
     ),
     key(
         "ACCEPT_LOSSES",

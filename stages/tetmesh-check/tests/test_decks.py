@@ -1,8 +1,9 @@
-"""Tests of LS-DYNA and Nastran files, read by meshio and by fixed columns as documented."""
+"""Tests of LS-DYNA and Nastran files, with meshio and with the documented column positions."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def test_ls_dyna_nodes_parts_and_elements(tmp_path: Path, order: int) -> None:
     np.testing.assert_allclose([[float(x) for x in node[1:]] for node in nodes], mesh.points, rtol=1e-9)
     parts = {whole(cards[1:], 10)[0]: cards[0] for name, cards in found if name == "PART"}
     assert parts == {2: "region_2", 5: "region_5"}
-    # formulation 10 is the tetrahedron of one point, 16 that of ten nodes
+    # formulation 10 is the one-point tetrahedron, 16 the ten-node one
     assert [whole(cards, 10) for name, cards in found if name == "SECTION_SOLID"] == [[1, 10 if order == 1 else 16]]
     numbers = np.array([whole(cards, 8) for name, cards in found if name == "ELEMENT_SOLID"]).reshape(len(parts), -1)
     elements = numbers.reshape(-1, 10 if order == 1 else 12)
@@ -120,3 +121,13 @@ def test_decks_of_materials_name_regions_and_interfaces(tmp_path: Path) -> None:
     titles = [cards[0] for name, cards in keywords(tmp_path / "b.volume.k") if name in ("PART", "SET_SEGMENT_TITLE")]
     assert titles == ["left_lung", "Heart", "inner", "outer"]
     assert '$HMNAME PROP                  11"inner"\n' in (tmp_path / "b.volume.bdf").read_text()
+
+
+def test_numbers_too_wide_for_a_field_are_replaced(tmp_path: Path) -> None:
+    block = marked_block()
+    large = np.where(block.regions == 5, 614_454_277, block.regions)
+    mesh = replace(block, regions=large, table=[block.table[0], {**block.table[1], "region": 614_454_277}])
+    export(mesh, tmp_path / "b.volume.vtu", "b", "bdf")
+    assert meshio.read(tmp_path / "b.volume.bdf").cell_data_dict["nastran:ref"]["tetra"].max() == 3
+    export(mesh, tmp_path / "b.volume.vtu", "b", "k")
+    assert [whole(cards[1:], 10)[0] for name, cards in keywords(tmp_path / "b.volume.k") if name == "PART"] == [2, 3]

@@ -1,4 +1,4 @@
-"""Tests of profiles: each file is read by a reader that follows the program it is meant for."""
+"""Tests of profiles. Each file is read with code that follows the reader of the target program."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_head_models_have_tissue_numbers_in_mm_and_ras(tmp_path: Path, run: Run,
     np.testing.assert_allclose(at.mean(axis=0), CENTRE * SIGNS, atol=1.0)
     np.testing.assert_array_equal(found[4][0], regions)
     np.testing.assert_array_equal(found[4][1], cells)
-    # white matter takes both of its surfaces, gray matter that towards the skin
+    # white matter has precedence and owns both of its interfaces; gray matter owns the other one
     tags, triangles = found[2]
     assert set(tags.tolist()) == {1001, 1002}
     inside = volumes(points, cells, regions)
@@ -114,7 +114,7 @@ def test_head_models_have_tissue_numbers_in_mm_and_ras(tmp_path: Path, run: Run,
         "White_matter_surface": [1001, 2], "label_2_surface": [1002, 2],
     }  # fmt: skip
     table = (tmp_path / "v.volume.regions.csv").read_text().splitlines()
-    assert table[1:] == ["1,White_matter,White matter,1", "5,skin,skin,2", "2,label_2,label_2,3"]
+    assert table[1:] == ["1,White_matter,White matter,1", "2,label_2,label_2,3", "5,skin,skin,2"]
 
 
 @NEEDS_HXT
@@ -220,9 +220,7 @@ ONE: dict[str, Any] = {"materials": [], "volume": True}
         (ONE, "--for febio --export feb", None),
     ],
 )
-def test_contradictions_are_refused_before_the_work(
-    run: Run, known: dict[str, Any], given: str, told: str | None
-) -> None:
+def test_contradictory_options_are_refused_early(run: Run, known: dict[str, Any], given: str, told: str | None) -> None:
     checked = run("--check-options", json.dumps(known), "s.vtp", "-o", "s.volume.vtu", *given.split())
     assert checked.returncode == (0 if told is None else 2), checked.stderr
     if told is not None:

@@ -1,6 +1,6 @@
-//! Reads the elements of DICOM files. dicom-rs 0.10 allocates up to 4 GiB for a value before it
-//! reads the value, so the length of each value is compared with the length of the file first. The
-//! lazy reader of dicom-rs finds the elements without reading their values.
+//! Reads the elements of a DICOM file. dicom-rs 0.10 allocates up to 4 GiB for a value before
+//! reading it. The lazy reader of dicom-rs therefore locates each value, and its length is compared
+//! with the length of the file.
 
 use super::source::{self, PREAMBLE, START, Source};
 use dicom_core::value::{DataSetSequence, PixelFragmentSequence};
@@ -17,7 +17,7 @@ use std::path::Path;
 
 /// Maximum nesting depth of sequences. Structured reports have the deepest nesting in DICOM, about
 /// ten sequences. Without a limit, a small file could overflow the stack.
-const DEEPEST: usize = 64;
+const MAX_DEPTH: usize = 64;
 
 /// The elements of a DICOM file.
 pub(super) struct Elements {
@@ -26,20 +26,20 @@ pub(super) struct Elements {
     /// group does not contain them.
     pub(super) class: String,
     pub(super) syntax: String,
-    /// Why the file cannot be read completely. `object` then contains the elements that precede the
-    /// damaged one. A truncated file usually contains the UID of its series.
+    /// Why the file cannot be read completely. `object` then contains the top-level elements
+    /// before the damage. A truncated file usually contains the UID of its series.
     pub(super) damage: Option<String>,
 }
 
 /// Reads all elements of a file. Without `with_pixels`, the pixel data is checked but not stored.
 ///
 /// # Errors
-/// If the operating system reports an error.
+/// If the file cannot be opened, or its file meta group cannot be read. Later errors are damage.
 pub(super) fn read(path: &Path, with_pixels: bool) -> io::Result<Elements> {
     let (mut reader, end) = source::open(path)?;
     let mut elements =
         Elements { object: InMemDicomObject::new_empty(), class: String::new(), syntax: String::new(), damage: None };
-    if !file_group_lies_within(&mut reader, end)? {
+    if !meta_group_fits(&mut reader, end)? {
         elements.damage = Some(BEYOND.to_owned());
         return Ok(elements);
     }
@@ -66,7 +66,7 @@ impl Elements {
     }
 }
 
-/// The elements of a data set that are not read yet.
+/// A reader of the remaining elements of a data set.
 struct DataSet<S: StatefulDecode> {
     reader: LazyDataSetReader<S>,
     /// Length of the file in bytes.
@@ -95,8 +95,8 @@ impl<S: StatefulDecode> DataSet<S> {
                         object.put(DataElement::new(header.tag, header.vr, value));
                     }
                 }
-                LazyDataToken::SequenceStart { .. } if depth == DEEPEST => {
-                    return Err(format!("more than {DEEPEST} sequences are nested"));
+                LazyDataToken::SequenceStart { .. } if depth == MAX_DEPTH => {
+                    return Err(format!("more than {MAX_DEPTH} sequences are nested"));
                 }
                 LazyDataToken::SequenceStart { tag, .. } => {
                     let items = self.items(depth + 1)?;
@@ -107,7 +107,7 @@ impl<S: StatefulDecode> DataSet<S> {
                     object.put(DataElement::new(tags::PIXEL_DATA, VR::OB, fragments));
                 }
                 _ if depth > 0 => return Ok(()),
-                _ => return Err("an item ends that did not begin".to_owned()),
+                _ => return Err("an item ends that has no start".to_owned()),
             }
         }
         if depth > 0 { Err(CUT.to_owned()) } else { Ok(()) }
@@ -167,7 +167,7 @@ fn reason(error: &dyn std::error::Error) -> String {
 
 /// Checks that no element of the file meta group extends beyond the end of the file. This group has
 /// the same encoding in all files, and its first element contains the length of the group.
-fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
+fn meta_group_fits(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
     reader.seek(SeekFrom::Start(START as u64))?;
     let decoder = ExplicitVRLittleEndianDecoder::default();
     let mut group_end = None;
@@ -223,7 +223,7 @@ mod tests {
     /// Found by fuzzing (case 1): an OB element of undefined length that is not pixel data. Its
     /// items are parsed as elements.
     #[test]
-    fn elements_in_items_of_bytes_lie_within_as_well() {
+    fn elements_in_items_of_ob_values_are_checked() {
         let says = |length: u32| {
             let mut elements = b"\x30\x20\x10\x00OB\x00\x00\xff\xff\xff\xff\xfe\xff\x00\xe0\x0c\x00\x00\x00".to_vec();
             elements.extend(b"\x00\x00\x00\x00OB\x00\x00");
@@ -256,7 +256,7 @@ mod tests {
     /// Found by fuzzing (case 5): dicom-rs reads only 12 bytes of a UL value of 15 bytes, and
     /// interprets the other 3 as the start of an element. That element has a length of 4 GiB.
     #[test]
-    fn an_element_after_an_incomplete_number_lies_within_too() {
+    fn a_long_element_after_an_incomplete_number_is_damage() {
         let mut elements = b"\x00\x00\x00\x00\x0f\x00\x00\x00".to_vec();
         elements.extend([0; 12]);
         elements.extend(b"\x08\x00\x05\x00\xf6\xff\xff\xff");
@@ -270,13 +270,13 @@ mod tests {
             let start = b"\x08\x00\x15\x11\xff\xff\xff\xff\xfe\xff\x00\xe0\xff\xff\xff\xff";
             dicom(b"1.2.840.10008.1.2\0", &start.repeat(count))
         };
-        assert_eq!(damage(&nested(DEEPEST)).as_deref(), Some(CUT));
+        assert_eq!(damage(&nested(MAX_DEPTH)).as_deref(), Some(CUT));
         let why = damage(&nested(1_000_000)).expect("too deep");
         assert!(why.contains("sequences are nested"), "{why}");
     }
 
     #[test]
-    fn elements_of_the_group_of_the_file_lie_within_too() {
+    fn a_long_element_of_the_meta_group_is_damage() {
         let says = |length: u32| {
             let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
             bytes.extend(b"\x02\x00\x00\x00UL\x04\x00\xff\x00\x00\x00\x02\x00\x02\x00UN\x00\x00");

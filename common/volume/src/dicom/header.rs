@@ -105,7 +105,7 @@ pub(super) fn damaged(path: &Path, damage: &str) -> Error {
     bad(
         path,
         format!("cannot be read as DICOM: {damage}"),
-        "it is truncated or damaged",
-        "copy or export the file again, or move it to another folder if it is not a slice",
+        "it is truncated or damaged, or uses a compression that cannot be read",
+        "copy the file again, write it uncompressed (gdcmconv --raw), or move it to another folder if it is not a slice",
     )
 }

@@ -62,7 +62,7 @@ fn masks_that_overlap_keep_all_their_voxels() {
     assert_eq!(volume.remarks, ["1 of 4 masks are empty: spleen"]);
     std::fs::write(folder.path().join("kidney.npy"), "").expect("written");
     let remarks = read_volume(folder.path()).expect("read").remarks;
-    assert!(remarks[1].ends_with("cannot be masks: kidney.npy"), "{remarks:?}");
+    assert!(remarks[1].ends_with("are not supported: kidney.npy"), "{remarks:?}");
 }
 
 #[test]

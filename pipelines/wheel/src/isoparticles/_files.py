@@ -90,6 +90,8 @@ def opened(
 ) -> Iterator[tuple[Grid, Iterator[NDArray[Any]]]]:
     """Find an array. Yield its grid, and an iterator of its voxels in slabs along z.
 
+    The slabs share one buffer: copy each of them before you request the next one.
+
     Raises
     ------
     Error
@@ -172,21 +174,21 @@ def _slabs(process: subprocess.Popen[bytes], path: str, grid: Grid, limit: int) 
     assert process.stdin is not None
     assert process.stdout is not None
     nx, ny, nz = grid.size
-    missing, ready = nz, 0
-    # each part is copied before the next one is received, so they share one small buffer
-    few = max(1, worker.PIPE_BYTES // (nx * ny * np.dtype(grid.dtype).itemsize))
-    buffer = np.empty((min(few, nz), ny, nx), grid.dtype)
+    missing, announced = nz, 0
+    # the consumer copies each slab before it requests the next one, so all slabs share one buffer
+    layers_per_read = max(1, worker.PIPE_BYTES // (nx * ny * np.dtype(grid.dtype).itemsize))
+    buffer = np.empty((min(layers_per_read, nz), ny, nx), grid.dtype)
     with suppress(BrokenPipeError):  # the process has ended; `_message` raises the error
         process.stdin.write(f"{limit}\n".encode())
         process.stdin.flush()
     while missing > 0:
-        if ready == 0:
-            ready = _message(process, path)["layers"]
-        values = buffer[: min(few, ready)]
+        if announced == 0:
+            announced = _message(process, path)["layers"]
+        values = buffer[: min(layers_per_read, announced)]
         # mypy does not know that a buffered pipe has `readinto`
         if process.stdout.readinto(values.reshape(-1).view(np.uint8).data) != values.nbytes:  # type: ignore[attr-defined]
             raise Error(f"{path}: reading it ended early", "it is probably damaged", "write or copy the file again")
-        ready -= len(values)
+        announced -= len(values)
         missing -= len(values)
         yield values.T
 

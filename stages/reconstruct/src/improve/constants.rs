@@ -1,5 +1,5 @@
-//! All constants that decide something in the improvement, with their derivation or measurement. h
-//! is the target edge length at the position of the triangle, edge or vertex.
+//! Constants of the improvement, with their derivation or measurement. The limits of the acceptance
+//! test are in `acceptance`. h is the target edge length at the triangle, edge or vertex.
 
 // --- quality of a triangle ---
 
@@ -42,8 +42,8 @@ pub(super) const FOLLOWS: f64 = 0.5;
 
 /// Tolerance of a projection onto F = 0, in voxels.
 pub(super) const PROJECTION_TOLERANCE: f64 = 1e-5;
-/// Estimate |F| / |grad F| of the deviation, in units of h, above which the distance to a point of
-/// F = 0 replaces it. The point is searched for within h.
+/// If the first-order deviation |F| / |grad F| exceeds this share of h, the distance to a point of
+/// F = 0 replaces it. The search radius is the first-order deviation, at most h.
 pub(super) const FIRST_ORDER: f64 = 0.15;
 /// `LINE_STEPS`: number of samples on each side in the search for a crossing along a line.
 /// `HALVINGS`: number of bisections of the interval found, to 2^-20, a millionth, of the sample
@@ -63,14 +63,14 @@ pub(super) const LAST_STEP: f64 = 0.01;
 /// between them keeps at least a tenth of its length. Collapses remove shorter edges.
 pub(super) const FARTHEST_ALONG: f64 = 0.9;
 /// Maximum distance between a junction curve and the midpoint of an edge on it after a move, in
-/// units of h: half the strict limit for centroids. If the distance was larger
-/// before, it must not increase.
-pub(super) const CURVE_STRAYS: f64 = 0.15;
+/// units of h: half the strict limit for centroids. If the distance was larger before, it must not
+/// increase.
+pub(super) const CURVE_DEVIATION: f64 = 0.15;
 /// Shares of the way to the best position, in the order tried. A shorter way may pass the
 /// acceptance test if the full way fails.
 pub(super) const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// Number of passes that move the vertices around an edit before the acceptance test: relocations
-/// around a move (at most), smoothing of the four vertices of a flip.
+/// Maximum number of relocation passes after a move, and number of smoothing passes after a flip,
+/// before the acceptance test.
 pub(super) const PASSES: usize = 2;
 /// Change of the minimum quality of the touched triangles, after the first pass, below which the
 /// second pass is skipped. 22,044 of 37,157 failed moves are below it, and 52 of 5,171 successful
@@ -91,9 +91,9 @@ pub(super) const HOPELESS_BEFORE_SETTLINGS: [f64; 3] = [-0.30, -0.008, -0.002];
 /// the heart take 0.45, 0.39, 0.45 and 0.50 s on two threads. With few blocks, threads wait for the
 /// largest block. With many blocks, more vertices lie at the faces between blocks.
 pub(super) const BLOCK: f64 = 35.0;
-/// Change of the summed quality of the touched triangles, after each of these passes, below which a
-/// flip is abandoned. After the first pass, 18,210 of 19,752 failed flips are below it, and 3 of
-/// 1,125 successful flips (`heart_label` 1, h = 2.1 mm).
+/// Change of the summed quality of the touched triangles, after each of the [`PASSES`] of a flip,
+/// below which the flip is abandoned. After the first pass, 18,210 of 19,752 failed flips are below
+/// it, and 3 of 1,125 successful flips (`heart_label` 1, h = 2.1 mm).
 pub(super) const HOPELESS_AFTER_SWEEP: f64 = -0.05;
 /// Number of vertex visits after which smoothing ends even if it still gains, in addition to one
 /// visit per vertex for each sweep after the first. With 0, 25,000, 50,000 and 100,000: the 15,000
@@ -126,8 +126,8 @@ pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 /// half: 1 - 4/5 = 6/5 - 1.
 pub(super) const LONG: f64 = 4.0 / 3.0;
 pub(super) const SHORT: f64 = 4.0 / 5.0;
-/// Minimum quality that splits, collapses and flips keep. The relaxation that follows them improves
-/// the triangles, and keeps [`TARGET`].
+/// Minimum quality that splits, collapses and flips keep. The relaxation that follows improves the
+/// triangles; its minimum is [`TARGET`].
 pub(super) const FLOOR: f64 = 0.35;
 
 // --- queue of bad triangles ---
@@ -161,20 +161,21 @@ pub(super) const REACHES: [f64; 2] = [1.6, 2.5];
 /// (the torso CT at 200, both methods), 3 of 1.8 million triangles stay below [`FIT`] with the
 /// first rate alone, and none with all three.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
-/// Share of the length of the mesh to which the target length can grow from every position in a
-/// patch up to its rim.
+/// Minimum target length at the rim of a patch, as a share of the length of the mesh there.
 pub(super) const RIM: f64 = 0.8;
 /// Target length demanded at a grid node on the wrong side, as a share of h or of the length of the
 /// mesh there, whichever is less. With 0.5, one node of the tests' ball of three sectors stays on
 /// the wrong side; with 0.25, none does.
 pub(super) const SHORTER: f64 = 0.25;
 /// Maximum distance of a centroid from F = 0 after superfluous vertices are removed, in units of h.
-/// With 0.3, a small ellipsoid of needles keeps 0.36 of its volume, instead of more than 0.5.
-pub(super) const STRAYS: f64 = 0.2;
+/// With 0.3, a small ellipsoid meshed with needle triangles keeps 36 % of its volume; with 0.2, it
+/// keeps more than 50 % (`tests_of_patches`).
+pub(super) const COARSEN_DEVIATION: f64 = 0.2;
 /// Number of rounds of splits, collapses, flips and relaxation in a patch. The same number of
 /// rounds then raises the triangles of the patch to quality [`TARGET`].
 pub(super) const ROUNDS: usize = 5;
-/// Quality that patches reach, and that relaxation and the removal of vertices keep.
+/// Quality to which the triangles of a patch are raised if possible. Relaxation and the removal of
+/// vertices keep it as a minimum.
 pub(super) const TARGET: f64 = 0.6;
 /// Range of edge lengths in units of the target length while a patch is remeshed.
 pub(super) const PATCH_LENGTHS: [f64; 2] = [0.35, 2.3];

@@ -2,7 +2,7 @@
 //! curve to maximise the minimum quality, or is merged into a neighbour on the curve. The
 //! acceptance test covers the triangles of all three interfaces together.
 
-use super::constants::{CURVE_STRAYS, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
+use super::constants::{CURVE_DEVIATION, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
 use super::sheets::Freedom;
 use super::surface::measure::quality_facing;
 use super::surface::{Curve, DEAD, Surface};
@@ -31,9 +31,9 @@ impl Surface<'_> {
     }
 
     /// Returns whether the bow (mm, [`Self::bow`]) of the edges at a vertex of a curve is at most
-    /// [`CURVE_STRAYS`] h, or at most the bow before.
+    /// [`CURVE_DEVIATION`] h, or at most the bow before.
     fn may_bow(&self, vertex: u32, bow: f64, before: f64) -> bool {
-        bow <= before.max(CURVE_STRAYS * self.target[vertex as usize])
+        bow <= before.max(CURVE_DEVIATION * self.target[vertex as usize])
     }
 }
 

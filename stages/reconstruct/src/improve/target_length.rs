@@ -3,12 +3,14 @@
 //!
 //! If edges are short compared with the radii of curvature, nearly equilateral triangles have a
 //! small deviation and normal deviation (sampling by local feature size, Amenta and Bern 1999). The
-//! target length is therefore the radius of curvature. It grows with distance up to the
-//! edge length at the rim of the patch. A small closed component is a patch without a rim.
+//! target length is 1 / sqrt(k1^2 + k2^2) with the principal curvatures k1 and k2. It grows with
+//! distance up to the edge length at the rim of the patch. A small closed component is a patch
+//! without a rim.
 
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{
-    GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER, STRAYS, TARGET,
+    COARSEN_DEVIATION, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
+    TARGET,
 };
 use super::lift::{After, lift, make};
 use super::moves::Move;
@@ -52,8 +54,9 @@ impl Place {
         Self { centre: (a + b + c) / 3.0, length, reach: reach * length }
     }
 
-    /// Returns the lower bound of the target length (mm) at `p`. From there, the target length can
-    /// still grow to [`RIM`] times the length of the mesh at the rim.
+    /// Returns the lower bound of the target length (mm) at `p`. A length that grows from it with
+    /// the gradation reaches [`RIM`] times the length of the mesh at the rim. A negative value is
+    /// no bound; [`MOST_TRIANGLES`] then limits the number of triangles.
     fn least(&self, p: DVec3, gradation: f64) -> f64 {
         RIM * self.length - gradation * (self.reach - p.distance(self.centre))
     }
@@ -124,7 +127,7 @@ fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<
 /// vertices that remeshing has added where no demand requires them.
 pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f64) {
     // stricter limits keep the resolution that the curvature of F requires
-    let limits = Limits { fold_of_f: Limits::STRICT.fold, deviation: STRAYS, ..Limits::STRICT };
+    let limits = Limits { fold_of_f: Limits::STRICT.fold, deviation: COARSEN_DEVIATION, ..Limits::STRICT };
     let mut collapsed = true;
     while collapsed {
         collapsed = false;

@@ -109,12 +109,12 @@ class Arguments:
             raise StageError(
                 f"{option} with --order 2",
                 f"{', '.join(linear)} cannot store quadratic elements",
-                f"omit {option if self.profile else ', '.join(linear)}, or use --order 1; quadratic elements are supported by "
-                f"{', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
+                f"omit {option if self.profile else ', '.join(linear)}, or use --order 1; quadratic elements are "
+                f"supported by {', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
             )
 
-    def refuse_names(self, names: Sequence[str]) -> None:
-        """Refuse materials that the profile cannot number; no names stand for one object."""
+    def check_material_names(self, names: Sequence[str]) -> None:
+        """Refuse materials that the profile cannot number. An empty list means one object."""
         number = PROFILES[self.profile].number if self.profile else None
         if number is not None:
             number(names)

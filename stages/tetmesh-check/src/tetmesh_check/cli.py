@@ -107,7 +107,7 @@ def _check_options(known: str, words: list[str]) -> None:
     if materials is not None:
         # the first is the outside
         check_names(arguments.forward, materials[1:])
-        arguments.refuse_names(materials[1:])
+        arguments.check_material_names(materials[1:])
     print(known)
 
 
@@ -116,11 +116,11 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.arguments import Arguments
     from tetmesh_check.checks import Limits
-    from tetmesh_check.export.profiles import settle
+    from tetmesh_check.export.profiles import resolve
     from tetmesh_check.fem.currents import ForwardArguments
     from tetmesh_check.fem.solve import refuse_missing
 
-    exports, space, unit = settle(parsed.profile, parsed.exports, parsed.space, parsed.unit)
+    exports, space, unit = resolve(parsed.profile, parsed.exports, parsed.space, parsed.unit)
     given = {
         **vars(parsed),
         "exports": exports,

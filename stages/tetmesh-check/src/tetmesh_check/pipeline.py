@@ -183,7 +183,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     sides = surface.sides
     many = sides is not None
     names = [] if sides is None else [sides.names[number] for number in sides.present]
-    arguments.refuse_names(names)
+    arguments.check_material_names(names)
     parts = PARTS.values() if sides is None else interface_names(sides)
     context.check_outputs(arguments.export_paths(many, parts))
     if many:

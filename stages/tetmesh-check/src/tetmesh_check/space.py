@@ -93,9 +93,9 @@ def output_space(choice: str | None, own: str | None, scanner: str | None) -> st
     """
     if own is None and choice == "ras":
         raise StageError(
-            "RAS coordinates (--space ras, --for): the surface names no anatomical space",
+            "RAS coordinates (--space ras, --for simnibs or brainstorm): the surface names no anatomical space",
             "its coordinates do not define left and right",
-            "omit the option to keep its coordinates, or use the .vtp surface of a volume with such a space",
+            "omit that option to keep its coordinates, or use the .vtp surface of a volume with such a space",
         )
     if own is None or choice is None:
         return own

@@ -21,8 +21,9 @@ from isoparticles.formats.stored import Stored
 
 NEXT = "if another program opens it, write it with plain compression; otherwise copy the file again"
 PIPE_BYTES = 1 << 20
-"""Size of the pipe, if the system is Linux and allows it. Reading an OME-Zarr array of 512^3 int16
-voxels takes 1.33 s with this size, and 1.54 s with the default of 64 kB."""
+"""Requested size of the pipe (Linux only), and size of the receiver's buffer. Reading an OME-Zarr
+array of 512^3 int16 voxels takes 1.11 s with this size (``make formats``, 2 cores), and 1.4 s with
+the default of 64 kB and a buffer per slab."""
 DESCRIBING_BYTES = 2 << 30
 """Memory for finding an array. Importing all readers takes 0.3 GB."""
 

@@ -45,7 +45,10 @@ def _members(members: Labels) -> str:
 
 
 def _cards(numbers: Labels, width: int, first: str = "", other: str = "") -> str:
-    """Format numbers in fields of this width, eight per line, each line with a keyword in front."""
+    """Format numbers in fields of this width, eight per line.
+
+    ``first`` precedes the first line, and ``other`` each of the other lines.
+    """
     fields = [f"{number:{width}d}" for number in numbers.tolist()]
     lines = ["".join(fields[at : at + 8]) for at in range(0, len(fields), 8)]
     return first + f"\n{other}".join(lines)
@@ -85,7 +88,7 @@ def _texts(*templates: str) -> dict[str, Writer]:
 
 
 def _nodes(mesh: MarkedMesh, path: Path, part: str) -> None:
-    """Write the nodes of a part of the boundary for openCARP, in the numbers of all nodes."""
+    """Write the nodes of a part of the boundary for openCARP, numbered from 0 as in ``.pts``."""
     members = [mesh.faces[own.members] for own in mesh.part_sets if own.name == part]
     _text(mesh, path, "nodes.vtx", nodes=np.unique(members))
 
@@ -126,8 +129,8 @@ _WRITE: dict[str, dict[str, Writer]] = {
         "volume.mesh-complete.exterior.vtp": write_simvascular_boundary,
     },
 }
-"""For each format, the files (without ``NAME.``) and the functions that write them. XDMF, the lists
-of nodes for openCARP and the table of regions are added later. ``pipelines/case/src/folder.rs``
+"""For each format, the files (without ``NAME.``) and the functions that write them. :func:`_files`
+adds XDMF, the node lists of openCARP and the table of regions. ``pipelines/case/src/folder.rs``
 recognizes the results of this stage by the beginnings ``volume`` and ``boundary``."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}

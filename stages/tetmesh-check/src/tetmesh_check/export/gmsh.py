@@ -86,7 +86,7 @@ def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
     cells = [("triangle", mesh.faces), ("tetra", mesh.elements)]
     numbers = [_numbers(parts, len(mesh.faces)), _numbers(regions, len(mesh.elements))]
     made = meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(("gmsh:physical", "gmsh:geometrical"), numbers))
-    _write_msh2(mesh, made, path, binary=True)
+    _write_msh2(mesh, made, (regions, parts), path, binary=True)
 
 
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
@@ -101,15 +101,17 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """
     regions, parts = numbered_sets(mesh)
     made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
-    _write_msh2(mesh, made, path, binary=False)
+    _write_msh2(mesh, made, (regions, parts), path, binary=False)
 
 
-def _write_msh2(mesh: MarkedMesh, made: meshio.Mesh, path: Path, binary: bool) -> None:
+def _write_msh2(
+    mesh: MarkedMesh, made: meshio.Mesh, sets_of: tuple[list[NamedSet], list[NamedSet]], path: Path, binary: bool
+) -> None:
     """Write a mesh of meshio with the names of the sets and a comment."""
-    for dimension, sets in zip((3, 2), numbered_sets(mesh), strict=True):
+    for dimension, sets in zip((3, 2), sets_of, strict=True):
         made.field_data.update({own.name: np.array([own.number, dimension]) for own in sets})
     meshio.write(path, made, file_format="gmsh22", binary=binary)
-    # some programs skip sections that they do not know only before the nodes
+    # some programs skip unknown sections only if they precede the nodes
     header, end, rest = path.read_bytes().partition(b"$EndMeshFormat\n")
     comment = f"$Comments\n{_comment(mesh)}\n$EndComments\n".encode()
     path.write_bytes(header + end + comment + rest)

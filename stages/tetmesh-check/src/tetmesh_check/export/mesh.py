@@ -18,6 +18,8 @@ from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.space import turned
 from tetmesh_check.topology import Boundary
 
+SURFACE_NUMBER = 1000
+"""SimNIBS adds this number to that of a tissue for its surface."""
 PARTS = {SURFACE: "surface", CAP: "cap"}
 """Parts of the boundary of one object, by mark."""
 _RESERVED = ("volume", "nodes", "all")
@@ -156,20 +158,21 @@ class MarkedMesh:
         return marks
 
 
-def numbered_sets(mesh: MarkedMesh) -> tuple[list[NamedSet], list[NamedSet]]:
-    """Return the regions and the parts of the boundary, with numbers that are positive and differ.
+def numbered_sets(mesh: MarkedMesh, largest: int = 2**31 - 1) -> tuple[list[NamedSet], list[NamedSet]]:
+    """Return the regions and the parts of the boundary with unique, positive numbers.
 
-    A region with a number below 1 gets a number above those of all regions: Gmsh, LS-DYNA and
-    Nastran require positive ones. GetDP does not distinguish a region from a surface with the same
-    number, and neither do properties of Nastran. So the number of a part is its mark plus the first
-    power of ten above all regions: with only region 1, ``surface`` is 11 and ``cap`` is 12. Marks
-    above all regions are kept.
+    A region with a number below 1 or above ``largest`` gets a number above those of the other
+    regions: Gmsh, LS-DYNA and Nastran require positive ones. GetDP groups and Nastran properties
+    need different numbers for regions and surfaces. So the number of a part is its mark plus the
+    first power of ten above all regions: with only region 1, ``surface`` is 11 and ``cap`` is 12.
+    Marks above :data:`SURFACE_NUMBER` are kept.
     """
     regions, parts = mesh.region_sets, mesh.part_sets
-    free = count(1 + max([0, *(own.number for own in regions)]))
-    regions = [own if own.number >= 1 else own._replace(number=next(free)) for own in regions]
-    last = max([0, *(own.number for own in regions)])
-    above = 0 if all(own.number > last for own in parts) else 10 ** len(str(last))
+    kept = {own.number for own in regions if 1 <= own.number <= largest}
+    free = count(1 + max(kept, default=0))
+    regions = [own if own.number in kept else own._replace(number=next(free)) for own in regions]
+    last = max((own.number for own in regions), default=0)
+    above = 0 if all(own.number > SURFACE_NUMBER for own in parts) else 10 ** len(str(last))
     return regions, [own._replace(number=above + own.number) for own in parts]
 
 

@@ -1,4 +1,4 @@
-"""Profiles: the formats, unit, frame and numbers that a program expects of a mesh.
+"""Profiles: format, unit, frame and material numbers that each program of ``--for`` requires.
 
 ``simnibs`` follows ``simnibs/utils/mesh_element_properties.py`` and
 ``reconstruct_unique_surface`` in ``simnibs/mesh_tools/mesh_io.py`` of SimNIBS 4. ``brainstorm``
@@ -11,12 +11,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.export.mesh import SURFACE_NUMBER, MarkedMesh
 from tetmesh_check.materials import NOBODY, NOTHING
 from tetmesh_check.quality import Labels
 
@@ -35,9 +36,7 @@ _TISSUES = {
 """Tissue numbers of SimNIBS, with names of materials that have them. Numbers above 10 differ
 between versions of SimNIBS, and between SimNIBS and Brainstorm."""
 _PRIORITY = (1, 2, 9, 3, 4, 8, 7, 6, 10, 5)
-"""An interface belongs to the tissue that comes first here, as in SimNIBS."""
-_SURFACE = 1000
-"""SimNIBS adds this number to that of a tissue for its surface."""
+"""Precedence in SimNIBS: an interface belongs to the surface of the tissue that comes first."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Profile:
     space: str | None = None
     """World frame; ``None`` if the program accepts any."""
     number: Callable[[Sequence[str]], list[int]] | None = None
-    """Returns the numbers of materials, given their names; ``None`` if any numbers will do."""
+    """Returns the numbers of named materials; ``None`` if the program accepts any numbers."""
 
 
 def tissue_numbers(names: Sequence[str]) -> list[int]:
@@ -60,7 +59,7 @@ def tissue_numbers(names: Sequence[str]) -> list[int]:
     Raises
     ------
     StageError
-        If there are no materials, or if a name is unknown or has the number of another one.
+        If there are no materials, a name is unknown, or two names denote the same tissue.
     """
     option = "--for simnibs or brainstorm"
     why = "SimNIBS and Brainstorm find the conductivity of a tissue by its number"
@@ -92,10 +91,10 @@ PROFILES = {
 """The programs of ``--for``."""
 
 
-def settle(
+def resolve(
     name: str | None, kinds: tuple[str, ...], space: str | None, unit: str | None
 ) -> tuple[tuple[str, ...], str | None, str]:
-    """Return the formats, frame and unit of a run: those of the profile, or else the given ones.
+    """Return the formats, frame and unit of a run: those of the profile, otherwise the given ones.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ def settle(
         if value and due[option] and value != due[option]:
             raise StageError(
                 f"--{option} {value} with --for {name}",
-                f"--for {name} sets what this program expects, which is another {option}",
+                f"--for {name} chooses the format" if option == "export" else f"{name} expects {due[option]}",
                 f"omit --{option}, or omit --for {name} and choose --export, --space and --unit yourself",
             )
     return profile.kinds, profile.space or space, profile.unit or unit or "mm"
@@ -140,26 +139,29 @@ def renumbered(mesh: MarkedMesh, profile: str | None) -> MarkedMesh:
     numbers = number([row["material"] for row in mesh.table])
     new_of = dict(zip((row["region"] for row in mesh.table), numbers, strict=True))
     regions = np.array([new_of.get(region, NOTHING) for region in mesh.regions.tolist()], dtype=np.int64)
-    marks, turn = _surfaces(regions, mesh.owners, mesh.before)
+    marks, is_flipped = _surfaces(regions, mesh.owners, mesh.before)
     faces = mesh.faces.copy()
-    faces[turn] = faces[turn][:, [0, 2, 1]]
+    faces[is_flipped] = faces[is_flipped][:, [0, 2, 1]]
     names = {new_of[row["region"]]: row["name"] for row in mesh.table}
     return replace(
         mesh,
         regions=regions,
         faces=faces,
-        owners=np.where(turn, mesh.before, mesh.owners),
-        before=np.where(turn, mesh.owners, mesh.before),
+        owners=np.where(is_flipped, mesh.before, mesh.owners),
+        before=np.where(is_flipped, mesh.owners, mesh.before),
         marks=marks,
-        table=[{**row, "region": new_of[row["region"]]} for row in mesh.table],
-        parts={_SURFACE + own: f"{names[own]}_surface" for own in sorted(names)},
+        table=sorted(({**row, "region": new_of[row["region"]]} for row in mesh.table), key=itemgetter("region")),
+        parts={SURFACE_NUMBER + own: f"{names[own]}_surface" for own in sorted(names)},
     )
 
 
 def _surfaces(regions: Labels, owners: Labels, before: Labels) -> tuple[Labels, NDArray[np.bool_]]:
-    """Return the surface number of each triangle, and whether its tissue lies in front of it."""
+    """Return the surface number of each triangle, and whether it must be flipped.
+
+    It must be flipped if the tissue of its surface lies in front of it.
+    """
     rank = np.full(max(_TISSUES) + 1, len(_PRIORITY))
     rank[list(_PRIORITY)] = np.arange(len(_PRIORITY))
     behind, front = (np.where(at == NOBODY, NOTHING, regions[at]) for at in (owners, before))
-    turn = rank[front] < rank[behind]
-    return np.asarray(_SURFACE + np.where(turn, front, behind)), np.asarray(turn)
+    is_flipped = rank[front] < rank[behind]
+    return np.asarray(SURFACE_NUMBER + np.where(is_flipped, front, behind)), np.asarray(is_flipped)
