@@ -89,8 +89,8 @@ def _texts(*templates: str) -> dict[str, Writer]:
 
 def _nodes(mesh: MarkedMesh, path: Path, part: str) -> None:
     """Write the nodes of a part of the boundary for openCARP, numbered from 0 as in ``.pts``."""
-    members = [mesh.faces[own.members] for own in mesh.part_sets if own.name == part]
-    _text(mesh, path, "nodes.vtx", nodes=np.unique(members))
+    mark = next(mark for mark, name in mesh.parts.items() if name == part)
+    _text(mesh, path, "nodes.vtx", nodes=np.unique(mesh.faces[mesh.marks == mark]))
 
 
 def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
