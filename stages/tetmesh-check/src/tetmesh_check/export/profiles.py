@@ -138,7 +138,8 @@ def renumbered(mesh: MarkedMesh, profile: str | None) -> MarkedMesh:
         return mesh
     numbers = number([row["material"] for row in mesh.table])
     new_of = dict(zip((row["region"] for row in mesh.table), numbers, strict=True))
-    regions = np.array([new_of.get(region, NOTHING) for region in mesh.regions.tolist()], dtype=np.int64)
+    present, which = np.unique(mesh.regions, return_inverse=True)
+    regions = np.array([new_of.get(region, NOTHING) for region in present.tolist()], dtype=np.int64)[which]
     marks, is_flipped = _surfaces(regions, mesh.owners, mesh.before)
     faces = mesh.faces.copy()
     faces[is_flipped] = faces[is_flipped][:, [0, 2, 1]]
