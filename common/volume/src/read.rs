@@ -106,16 +106,15 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     let entries = std::fs::read_dir(folder).map_err(cannot)?.map(|entry| entry.map(|entry| entry.path()));
     let mut entries: Vec<PathBuf> = entries.collect::<std::io::Result<_>>().map_err(cannot)?;
     entries.sort();
-    let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
+    let (folders, files): (Vec<PathBuf>, Vec<PathBuf>) = entries.into_iter().partition(|path| path.is_dir());
     let slices: Vec<PathBuf> = files.iter().filter(|path| dicom::is_dicom_file(path)).cloned().collect();
     if !slices.is_empty() {
         return dicom::read_series(folder, &slices, options.series, options.spacing);
     }
     let tiffs: Vec<PathBuf> = files.iter().filter(|path| tiff::has_tiff_name(path)).cloned().collect();
-    let others: Vec<String> =
-        files.iter().filter(|path| masks::is_other_volume(path)).take(10).map(|path| file_name(path)).collect();
-    files.retain(|path| masks::mask_name(path).is_some());
-    if let (Some(mask), Some(slice)) = (files.first(), tiffs.first()) {
+    let (masks, others): (Vec<PathBuf>, Vec<PathBuf>) =
+        files.into_iter().partition(|path| masks::mask_name(path).is_some());
+    if let (Some(mask), Some(slice)) = (masks.first(), tiffs.first()) {
         return Err(bad(
             folder,
             format!("contains {} and {}", file_name(mask), file_name(slice)),
@@ -127,14 +126,15 @@ fn read_folder(folder: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
         without_series(folder, options)?;
         return tiff::read_tiff_folder(folder, tiffs, options.spacing);
     }
-    if !files.is_empty() {
+    if !masks.is_empty() {
         without_series(folder, options)?;
         without_spacing(folder, options.spacing)?;
-        let mut volume = masks::read_masks(folder, &files, read_volume)?;
-        if !others.is_empty() {
-            volume
-                .remarks
-                .push(format!("ignored, because masks of these formats are not supported: {}", others.join(", ")));
+        let mut volume = masks::read_masks(folder, &masks, read_volume)?;
+        let ignored = others.iter().filter(|path| masks::is_other_volume(path)).take(10);
+        let ignored: Vec<String> = ignored.map(|path| file_name(path)).collect();
+        if !ignored.is_empty() {
+            let remark = "ignored, because masks of these formats are not supported";
+            volume.remarks.push(format!("{remark}: {}", ignored.join(", ")));
         }
         return Ok(volume);
     }

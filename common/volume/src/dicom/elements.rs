@@ -19,6 +19,10 @@ use std::path::Path;
 /// ten sequences. Without a limit, a small file could overflow the stack.
 const MAX_DEPTH: usize = 64;
 
+/// Reasons why a file cannot be read.
+const BEYOND: &str = "an element extends beyond the end of the file";
+const CUT: &str = "the file ends within a sequence";
+
 /// The elements of a DICOM file.
 pub(super) struct Elements {
     pub(super) object: InMemDicomObject,
@@ -47,10 +51,6 @@ pub(super) fn read(path: &Path, with_pixels: bool) -> io::Result<Elements> {
     elements.damage = elements.fill(reader, end, with_pixels).err();
     Ok(elements)
 }
-
-/// Reasons why a file cannot be read.
-const BEYOND: &str = "an element extends beyond the end of the file";
-const CUT: &str = "the file ends within a sequence";
 
 impl Elements {
     /// Reads the file meta group and the data set. Fails with the reason.
