@@ -241,13 +241,14 @@ mod tests {
     use super::super::prepare::prepare;
     use super::super::scenes;
     use super::*;
+    use crate::options::Options;
 
     #[test]
     fn nodes_in_relabelled_tetrahedra_are_wrong() {
         let scene = scenes::sectors();
         let (particles, strata) = scene.particles(1.5, 0.7);
         let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
-        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), None);
+        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), &Options::default());
         let nodes = Nodes::new(&scene.geometry(0.7), &scene.analytic);
         let inside: Vec<u32> =
             complex.labelled.facets().iter().map(|f| f.tetrahedron).filter(|&t| nodes.holds_own(&complex, t)).collect();

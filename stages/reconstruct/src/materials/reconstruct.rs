@@ -86,7 +86,7 @@ pub fn reconstruct(
     monitor.check()?;
 
     let phase = monitor.phase("refine");
-    let complex = Complex::new(prepared, indicators, particles.geometry.upper_corner(), options.max_deviation);
+    let complex = Complex::new(prepared, indicators, particles.geometry.upper_corner(), options);
     let guarded = options.keeps_voxels.then_some(&nodes);
     let mut refinement = Refinement::new(complex, guarded);
     let facets = refinement.run(|points| {

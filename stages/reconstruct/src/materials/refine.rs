@@ -36,8 +36,8 @@ pub struct RefineReport {
     pub on_curves: usize,
     /// Splits of a segment at an existing point that its curve passes within `ONE_CURVE`.
     pub passes: usize,
-    /// Edges without a segment that became one, because their curve passes both ends within
-    /// `ONE_CURVE`.
+    /// Edges without a segment that became one, because their curve passes both ends within the
+    /// tolerance.
     pub adopted: usize,
     /// Changes of the material of tetrahedra: parts of stars, runs around edges, and single
     /// tetrahedra.
@@ -159,7 +159,7 @@ impl<'a> Refinement<'a> {
     }
 
     /// Makes edges at which three or four materials meet segments, if their curve passes both ends
-    /// within `ONE_CURVE`. Returns the violations around them.
+    /// within the tolerance. Returns the violations around them.
     fn adopt(&mut self) -> Vec<Violation> {
         let wrong = self.complex.wrong(&Simplices::all(&self.complex, self.complex.labelled.facets()));
         let mut changed = Vec::new();

@@ -335,7 +335,8 @@ fn refined_ribbon(analytic: &Analytic, half: f64) -> Complex<'_> {
     }
     let prepared = prepared_of(&all, pairs, analytic);
     assert_eq!(prepared.segments.count(), 16);
-    let mut refinement = Refinement::new(Complex::new(prepared, analytic, DVec3::splat(24.0), None), None);
+    let mut refinement =
+        Refinement::new(Complex::new(prepared, analytic, DVec3::splat(24.0), &Options::default()), None);
     // the interfaces beyond the ends of the curves have no curves, and their refinement takes long
     let enough = |points: usize| if points < 600 { Ok(()) } else { Err(Error::input("enough points", "", "")) };
     let outcome = refinement.drain([], &mut { enough });
@@ -390,7 +391,8 @@ fn inserted_ball_centre_removes_its_facet() {
     {
         all.push((vec![0, 1], CENTRE + RADIUS * DVec3::new(x, y, z).normalize()));
     }
-    let complex = || Complex::new(prepared_of(&all, Vec::new(), &analytic), &analytic, DVec3::splat(24.0), None);
+    let complex =
+        || Complex::new(prepared_of(&all, Vec::new(), &analytic), &analytic, DVec3::splat(24.0), &Options::default());
     let facets = complex().labelled.facets();
     assert_eq!(facets.len(), 8);
     for facet in facets {

@@ -177,6 +177,7 @@ mod tests {
     use super::super::prepare::prepare;
     use super::super::scenes;
     use super::*;
+    use crate::options::Options;
     use glam::DVec3;
     use std::collections::BTreeSet;
 
@@ -185,7 +186,7 @@ mod tests {
         let scene = scenes::sectors();
         let (particles, strata) = scene.particles(1.5, 0.7);
         let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
-        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), None);
+        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), &Options::default());
         let v = (0..complex.points().len() as u32)
             .find(|&v| {
                 complex.strata[v as usize].dimension() == 2

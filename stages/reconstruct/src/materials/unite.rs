@@ -1,7 +1,7 @@
 //! The final changes to the strata of a complex, after the last point is inserted. Edges on which
-//! three or four materials meet become segments if their curve passes both ends within `ONE_CURVE`.
-//! Superfluous segments are dropped. Vertices of facets are joined to the interface if it passes
-//! them within `ONE_CURVE`.
+//! three or four materials meet become segments if their curve passes both ends within the
+//! tolerance ([`Complex::tolerance`]). Superfluous segments are dropped. Vertices of facets are
+//! joined to the interface if it passes them within the tolerance.
 
 use super::complex::Complex;
 use super::refine::Refinement;
@@ -60,6 +60,7 @@ mod tests {
     use super::super::segments::Segments;
     use super::*;
     use crate::interfaces::segment;
+    use crate::options::Options;
     use glam::DVec3;
     use isoparticles_delaunay::Delaunay;
     use isoparticles_field::materials::{Analytic, Indicators, ball, half_space, maximum, negative};
@@ -101,7 +102,7 @@ mod tests {
             segments: Segments::new(pairs.iter().map(|&[a, b]| (segment(a, b), curve)), points),
             report: Taken::default(),
         };
-        Complex::new(prepared, analytic, DVec3::splat(6.0), None)
+        Complex::new(prepared, analytic, DVec3::splat(6.0), &Options::default())
     }
 
     #[test]
