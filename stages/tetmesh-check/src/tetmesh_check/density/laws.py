@@ -19,7 +19,7 @@ class Law:
     a: float
     """E of the density 1 g/cm^3, N/mm^2."""
     b: float
-    kind: str = "as calibrated"
+    kind: str = "calibrated"
     """Kind of density: apparent, ash, or that of the calibration."""
     measured: tuple[float, float] | None = None
     """Range of densities that the authors measured, g/cm^3."""
