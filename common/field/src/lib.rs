@@ -9,7 +9,7 @@
 //! - [`topology`]: components, Euler characteristics and critical points of F.
 //! - [`marching_cubes`]: a triangle mesh of F = 0.
 //! - [`materials`]: implicit functions for many materials, one per material. [`label_lookup`]:
-//!   labels at positions.
+//!   labels at positions. [`overlap`]: means of voxels over tetrahedra.
 //!
 //! ```
 //! use glam::DVec3;
@@ -35,6 +35,7 @@ pub mod marching_cubes;
 pub mod materials;
 pub mod neighbours;
 mod node_bits;
+pub mod overlap;
 pub mod particle_set;
 pub mod random;
 pub mod sizing;

@@ -5,6 +5,7 @@ use crate::arrays::{Array, cells, compute, mesh, points, values};
 use crate::errors::raised;
 use glam::{DMat3, DVec3};
 use isoparticles_field::background::{BackgroundMesh, WorldGrid};
+use isoparticles_field::overlap::overlaps;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::{CubicSpline, distance_estimate};
 use isoparticles_mesh::tetrahedra::quadratic::{self, Quadratic};
@@ -275,16 +276,47 @@ pub(crate) fn labels_at(
     positions: &Bound<'_, PyAny>,
     wanted: Option<Vec<i32>>,
 ) -> PyResult<Array> {
-    let step = DMat3::from_cols_array_2d(&step);
-    let spacing = DVec3::new(step.x_axis.length(), step.y_axis.length(), step.z_axis.length());
-    let axes = (step * DMat3::from_diagonal(spacing.recip())).to_cols_array_2d();
-    let (geometry, data) = grid(labels, spacing.to_array(), origin, axes)?;
+    let (geometry, data) = stepped_grid(labels, step, origin)?;
     let (labels, positions) = (Image { geometry, data }, points(positions)?);
     compute(py, move || {
         let is_wanted = |label: i32| wanted.as_ref().map_or(label != 0, |wanted| wanted.contains(&label));
         let found = isoparticles_field::label_lookup::labels_at(&labels, is_wanted, &positions);
         Array::column(&found.into_iter().map(i64::from).collect::<Vec<_>>())
     })
+}
+
+/// Returns the mean of an image over each tetrahedron, and the share of the tetrahedron that lies
+/// inside the image. `image` is an array of type `float32` on a grid as in [`labels_at`].
+#[pyfunction]
+pub(crate) fn tetrahedron_means(
+    py: Python<'_>,
+    image: &Bound<'_, PyAny>,
+    step: [[f64; 3]; 3],
+    origin: [f64; 3],
+    points: &Bound<'_, PyAny>,
+    tetrahedra: &Bound<'_, PyAny>,
+) -> PyResult<(Array, Array)> {
+    let (geometry, data) = stepped_grid(image, step, origin)?;
+    let (image, points) = (Image { geometry, data }, self::points(points)?);
+    let tetrahedra = cells(tetrahedra, points.len())?;
+    compute(py, move || {
+        let found = overlaps(&image, &points, &tetrahedra);
+        let (means, shares): (Vec<f64>, Vec<f64>) = found.iter().map(|own| (own.mean, own.share)).unzip();
+        (Array::column(&means), Array::column(&shares))
+    })
+}
+
+/// Copies an array of numbers on a grid. `step` contains the vectors from a voxel to the next along
+/// each axis.
+fn stepped_grid<T: Element>(
+    array: &Bound<'_, PyAny>,
+    step: [[f64; 3]; 3],
+    origin: [f64; 3],
+) -> PyResult<(Geometry, Vec<T>)> {
+    let step = DMat3::from_cols_array_2d(&step);
+    let spacing = DVec3::new(step.x_axis.length(), step.y_axis.length(), step.z_axis.length());
+    let axes = (step * DMat3::from_diagonal(spacing.recip())).to_cols_array_2d();
+    grid(array, spacing.to_array(), origin, axes)
 }
 
 /// Copies an array of numbers on a grid with the axes x, y and z.

@@ -33,7 +33,7 @@ mod _native {
     #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]
-    use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume};
+    use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume, tetrahedron_means};
     #[pymodule_export]
     use crate::meshes::{
         changed_triangles, check_complex, describe_complex, distances_both_ways, nearest_flags, self_intersections,

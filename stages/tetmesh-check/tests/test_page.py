@@ -175,6 +175,24 @@ def test_places_of_the_reports_are_listed(case: Path, tmp_path: Path) -> None:
     assert [a["href"] for a in elements.of("a")].count("#places") == 2  # from the contents, and from the checks
 
 
+def test_density_and_stiffness_are_listed(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    report["results"]["density"] = {
+        "file": "c<t>.nrrd", "mass_g": 17.85, "mean_density": 0.7055, "partly_outside": 0, "at_minimum_modulus": 12, "beyond_law": 34,
+        "calibration": {"slope": 0.001, "intercept": -0.02, "rods": [[0, 0], [1, 1]], "rms_residual": 0.0118},
+        "law": {"a": 10500.0, "b": 2.29, "kind": "ash", "reference": "Keller"},
+        "density_g_per_cm3": summarize(np.array([0.3, 1.2])), "modulus_mpa": summarize(np.array([815.7, 14670.0])),
+    }  # fmt: skip
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    words = made(write_status(folder, "a&b"), folder / "x.html").words.replace("\u202f", " ")
+    for said in (
+        "mass17.9 g", "density0.3 to 1.2 g/cm³, mean 0.706", "E816 to 14 670 N/mm²", "value -0.02 g/cm³, residual of 2 rods 0.012 g/cm³",
+        "^2.29, ash density (Keller)", "at the minimum E12 of 2 tetrahedra", "partly outside c<t>.nrrd0 of 2",
+    ):  # fmt: skip
+        assert said in words
+
+
 def test_a_closeup_is_enlarged_where_the_mesh_is() -> None:
     pixels = np.zeros((1200, 1600, 4), dtype=np.uint8)
     pixels[:1030, :800] = (200, 100, 50, 255)

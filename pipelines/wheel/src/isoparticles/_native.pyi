@@ -267,3 +267,10 @@ def labels_at(
     positions: Floats,
     wanted: list[int] | None,
 ) -> Integers: ...
+def tetrahedron_means(
+    image: NDArray[np.float32],
+    step: list[list[float]],
+    origin: tuple[float, float, float],
+    points: Floats,
+    tetrahedra: Integers,
+) -> tuple[Floats, Floats]: ...

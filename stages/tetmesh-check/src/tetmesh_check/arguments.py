@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tetmesh_check.checks import Limits
+from tetmesh_check.density.arguments import DensityArguments, check_material
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
 from tetmesh_check.export.profiles import PROFILES
-from tetmesh_check.fem.currents import ForwardArguments
+from tetmesh_check.fem.currents import ForwardArguments, check_names
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
@@ -62,6 +63,8 @@ class Arguments:
     solve_seconds: float = 600.0
     forward: ForwardArguments = made_by(default_factory=ForwardArguments)
     """For many materials: conductivities and the source of a current."""
+    density: DensityArguments | None = None
+    """Density and stiffness of the elements from a scan."""
 
     @property
     def name(self) -> str:
@@ -114,7 +117,9 @@ class Arguments:
             )
 
     def check_material_names(self, names: Sequence[str]) -> None:
-        """Refuse materials that the profile cannot number. An empty list means one object."""
+        """Refuse materials that options do not allow. An empty list means one object."""
+        check_names(self.forward, names)
+        check_material(self.density, names)
         number = PROFILES[self.profile].number if self.profile else None
         if number is not None:
             number(names)
@@ -145,5 +150,6 @@ class Arguments:
             **{name: value for name, value in limits.items() if name != "accept_forced" or value},
             "solve": self.solve,
             **({} if self.order == 1 else {"order": self.order}),
+            **({} if self.density is None else {"density": self.density.parameters()}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
         }

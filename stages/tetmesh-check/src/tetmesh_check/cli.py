@@ -89,7 +89,6 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
 def _check_options(known: str, words: list[str]) -> None:
     """Refuse what a run would refuse; print what is known about the case for the next stage."""
     parsed = build_parser().parse_args(words)
-    from tetmesh_check.fem.currents import check_names
     from tetmesh_check.tets import hxt, tetgen, tetwild
 
     workers = {"ftetwild": tetwild.WORKER, "hxt": hxt.WORKER, "tetgen": tetgen.WORKER}
@@ -101,12 +100,11 @@ def _check_options(known: str, words: list[str]) -> None:
     method = "hxt" if materials else arguments.method
     if method in workers:
         workers[method].refuse_missing()
-    labels = arguments.labels_volume
-    if labels is not None and not labels.exists():
-        raise file_error(labels, "read", FileNotFoundError("it is not there"), "check --labels-volume")
+    for option, path in (("--labels-volume", parsed.labels_volume), ("--density", parsed.density)):
+        if path is not None and not path.exists():
+            raise file_error(path, "read", FileNotFoundError("it is not there"), f"check {option}")
     if materials is not None:
         # the first is the outside
-        check_names(arguments.forward, materials[1:])
         arguments.check_material_names(materials[1:])
     print(known)
 
@@ -116,6 +114,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.arguments import Arguments
     from tetmesh_check.checks import Limits
+    from tetmesh_check.density.arguments import density_arguments
     from tetmesh_check.export.profiles import resolve
     from tetmesh_check.fem.currents import ForwardArguments
     from tetmesh_check.fem.solve import refuse_missing
@@ -127,6 +126,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         "space": space,
         "unit": unit,
         "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
+        "density": density_arguments(vars(parsed)),
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from typing import Any, NoReturn
 
 from isoparticles._native import VERSION, number_of_bytes
 
+from tetmesh_check.density.laws import read_calibration, read_law
 from tetmesh_check.errors import StageError, close
 
 FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
@@ -52,6 +54,8 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, tool: str, **more: Any) -> None:
         super().__init__(tool, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **more)
         self.version = f"{tool} {VERSION}"
+        # as from Python 3.14, a value may begin with a negative number: -20:0,480:0.5
+        self._negative_number_matcher = re.compile(r"-\.?\d")
         if self.add_help:
             self.add_argument("--version", action="version", help="print the version")
 
@@ -133,4 +137,6 @@ _READERS: dict[str, Callable[[str], Any]] = {
     "number_of_bytes": number_of_bytes,
     "named_number": _named_number,
     "source_of_current": _source_of_current,
+    "calibration": read_calibration,
+    "law": read_law,
 }

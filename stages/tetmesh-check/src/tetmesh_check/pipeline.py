@@ -10,15 +10,17 @@ from isoparticles._native import Context, GridField
 
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
+from tetmesh_check.density.mapping import map_density, read_density
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import PARTS, MarkedMesh, interface_names
 from tetmesh_check.export.profiles import renumbered
 from tetmesh_check.export.vtk import write_volume
-from tetmesh_check.fem.currents import Forward, check_names
+from tetmesh_check.fem.currents import Forward
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
+from tetmesh_check.materials import Sides
 from tetmesh_check.measures import mark, measure
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, triangle_quality
@@ -70,6 +72,16 @@ def _read(
     space = output_space(arguments.space, surface.space, distfield_parameter(surface.history, "file_space"))
     context.parameters["space"] = space
     return replace(surface, space=space), sizing, field, labels
+
+
+def _refuse(arguments: Arguments, sides: Sides | None, context: Context) -> None:
+    """Refuse options that do not suit the materials, and existing outputs."""
+    names = [] if sides is None else [sides.names[number] for number in sides.present]
+    arguments.check_material_names(names)
+    parts = PARTS.values() if sides is None else interface_names(sides)
+    context.check_outputs(arguments.export_paths(sides is not None, parts))
+    if sides is not None:
+        arguments.refuse_for_materials()
 
 
 def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) -> tuple[GridField, Values]:
@@ -180,22 +192,22 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("read"):
         surface, sizing, field, labels = _read(arguments, context)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
-    sides = surface.sides
-    many = sides is not None
-    names = [] if sides is None else [sides.names[number] for number in sides.present]
-    arguments.check_material_names(names)
-    parts = PARTS.values() if sides is None else interface_names(sides)
-    context.check_outputs(arguments.export_paths(many, parts))
-    if many:
-        arguments.refuse_for_materials()
-    check_names(arguments.forward, names)
+    _refuse(arguments, surface.sides, context)
+    scan = None
+    if arguments.density is not None:
+        with context.step("read density"):
+            scan = read_density(arguments.density, surface, context)
     task = _task(arguments, surface, sizing, labels, context)
     filled = fill(task, context)
     mesh = measure(task, filled, context)
     marked = mark(task.surface, mesh, filled.conformity, labels, context)
+    if scan is not None:
+        with context.step("map density"):
+            marked = map_density(scan, marked, mesh.volumes, context)
     with context.step("write"):
         # the mesh remains if a later step fails
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
+    many = surface.sides is not None
     with drawing(arguments, context, many):
         checks = _judge(task, filled, context)
         if field is not None:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from tetmesh_check.export.cards import in_units
 from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2, write_simnibs
 from tetmesh_check.export.mesh import MarkedMesh, numbered_sets
 from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_boundary, write_simvascular_volume
@@ -186,8 +187,8 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
     unit
         Unit of the coordinates: ``mm``, ``m`` or ``um``. openCARP files are always in micrometres.
     """
-    scale = _PER_MM["um" if kind == "carp" else unit]
-    scaled = replace(mesh, points=mesh.shown * scale)
+    unit = "um" if kind == "carp" else unit
+    scaled = in_units(replace(mesh, points=mesh.shown * _PER_MM[unit]), unit)
     parts = [own.name for own in mesh.part_sets]
     for ending, write in _files(name, kind, mesh.materials is not None, parts).items():
         write_atomically(output.with_name(f"{name}.{ending}"), partial(write, scaled))

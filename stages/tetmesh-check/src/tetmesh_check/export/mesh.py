@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.materials import NOBODY, Conformity, Sides
-from tetmesh_check.quality import Cells, Labels, Points
+from tetmesh_check.quality import Cells, Labels, Points, Values
 from tetmesh_check.regions import CAP, SURFACE
 from tetmesh_check.space import turned
 from tetmesh_check.topology import Boundary
@@ -63,6 +63,19 @@ class NamedSet(NamedTuple):
     """Indices of the elements or triangles, ascending."""
 
 
+class Card(NamedTuple):
+    """The elements of one region that share one material."""
+
+    region: int
+    name: str
+    members: Labels
+    """Indices of the elements, ascending."""
+    modulus: float = 1.0
+    """Young's modulus, N/mm^2, or in the unit of a file; 1 if it is unknown."""
+    density: float = 1.0
+    """Density, g/cm^3, or in the unit of a file; 1 if it is unknown."""
+
+
 def _sets(numbers: Labels, names: Mapping[int, str]) -> list[NamedSet]:
     """Return the sets that are not empty, in the order of the names."""
     sets = [NamedSet(number, name, np.flatnonzero(numbers == number)) for number, name in names.items()]
@@ -99,6 +112,10 @@ class MarkedMesh:
     """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
     space: str | None = None
     """World frame of the files: lps, ras, or ``None`` if the frame of ``points`` is unknown."""
+    fields: dict[str, Values] = field(default_factory=dict)
+    """More values of each tetrahedron, by name, shape ``(m,)``."""
+    cards: list[Card] = field(default_factory=list)
+    """Materials of the regions whose stiffness is known."""
 
     @property
     def shown(self) -> Points:
@@ -129,6 +146,12 @@ class MarkedMesh:
     def region_sets(self) -> list[NamedSet]:
         """The elements of each region."""
         return _sets(self.regions, {row["region"]: row["name"] for row in self.table})
+
+    @property
+    def solids(self) -> list[Card]:
+        """The cards, and one more for each region without a card."""
+        known = {card.region for card in self.cards}
+        return self.cards + [Card(*own) for own in self.region_sets if own.number not in known]
 
     @property
     def part_sets(self) -> list[NamedSet]:

@@ -52,8 +52,8 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     path
         A ``.vtu`` file.
     mesh
-        The mesh. Points are written in double precision, regions as cell data, and marks of points
-        as point data. The table of many materials is the text ``materials``.
+        The mesh. Points are written in double precision, regions and fields as cell data, and marks
+        of points as point data. The table of many materials is the text ``materials``.
     measures
         Measures of the elements by name: those of :class:`.TetrahedronQuality`, or
         ``jacobian_bound``, the lower bound of each quadratic element's Jacobian over that of the
@@ -63,6 +63,7 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     """
     grid = _grid(mesh, mesh.shown)
     grid.cell_data.update({name: measures[name] for name in _MEASURES if name in measures})
+    grid.cell_data.update(mesh.fields)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
     add_text(grid, "isoparticles_kind", "quadratic volume" if mesh.is_quadratic else "volume")

@@ -1,0 +1,1 @@
+"""Density and stiffness of elements from the grey values of a scan."""
