@@ -118,12 +118,12 @@ impl<'a> Complex<'a> {
         }
     }
 
-    /// Returns the distance (mm) within which a stratum passes a point: [`ONE_CURVE`] times a voxel
+    /// Returns the distance (mm) within which a stratum passes a point: `ONE_CURVE` times a voxel
     /// or, at a scale, times h if that is longer. New points are at least a twentieth of h from
     /// others ([`crate::queue::NEAREST_FOR_TOPOLOGY`]), so they cannot separate closer strata.
     /// `brain_parcellation` at 100,000 vertices has 16 spurious junction edges with 0.05 voxel, and
     /// none with 0.05, 0.1 or 0.2 h.
-    pub(super) fn tolerance(&self, point: u32) -> f64 {
+    pub fn tolerance(&self, point: u32) -> f64 {
         let voxel = self.indicators.voxel();
         ONE_CURVE * if self.keeps_voxels { voxel } else { voxel.max(self.sizes[point as usize]) }
     }
