@@ -41,7 +41,8 @@ LAWS = {
     "keller": Law(10500.0, 2.29, "ash", (0.03, 1.22), "Keller, J Biomech 27:1159-1168, 1994"),
 }
 """Laws by name. The first four are for trabecular bone of one site, ``trabecular`` is for these
-sites together. ``cortical`` is for the tibia. The last two cover trabecular and cortical bone."""
+sites together. ``cortical`` is for the tibia. The last two cover trabecular and cortical bone.
+The constants and ranges have not been compared with the papers yet."""
 
 
 def read_law(text: str) -> Law:
