@@ -17,7 +17,7 @@ use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::LEAST_GRADIENT;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// Materials of the points at which more than four meet, by point index.
 type Crowded = BTreeMap<u32, Vec<MaterialId>>;
@@ -34,8 +34,8 @@ pub struct Complex<'a> {
     pub sizes: Vec<f64>,
     /// Segments of junction curves.
     pub segments: Segments,
-    /// Points joined to another stratum that passes them within the tolerance.
-    pub joined: BTreeSet<u32>,
+    /// Points joined to another stratum, with the maximum distance (mm) at which it passes them.
+    pub joined: BTreeMap<u32, f64>,
     /// Materials of the points at which more than four meet.
     crowded: Crowded,
     /// Maximum distance in mm between the centroid of a facet and its interface. `None`:
@@ -54,7 +54,7 @@ impl<'a> Complex<'a> {
         let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
         interfaces.segments = self.segments.all().map(|(pair, curve)| (pair.map(number), curve)).collect();
         interfaces.segments.sort_unstable();
-        let joined = self.joined.iter().map(|&v| Joined { vertex: number(v), distance: self.tolerance(v) });
+        let joined = self.joined.iter().map(|(&v, &distance)| Joined { vertex: number(v), distance });
         interfaces.joined = joined.filter(|own| own.vertex != u32::MAX).collect();
         let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();
         (interfaces, dimensions)
@@ -72,7 +72,7 @@ impl<'a> Complex<'a> {
             strata,
             sizes,
             segments,
-            joined: BTreeSet::new(),
+            joined: BTreeMap::new(),
             crowded: BTreeMap::new(),
             max_deviation: options.max_deviation,
             keeps_voxels: options.keeps_voxels,
@@ -92,7 +92,7 @@ impl<'a> Complex<'a> {
     pub fn pass(&mut self, pair: Segment, point: u32) {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());
-        self.join(point, &curve);
+        self.join(point, &curve, ONE_CURVE * self.indicators.voxel());
         for point in [point, pair[0], pair[1]] {
             self.widen_short_segments(point);
             self.labelled.reconsider(point);
@@ -100,12 +100,13 @@ impl<'a> Complex<'a> {
         self.decide();
     }
 
-    /// Adds the materials of a stratum, which must pass a point within the tolerance, to those that
-    /// meet at the point.
-    fn join(&mut self, point: u32, stratum: &Stratum) {
+    /// Adds the materials of a stratum to those that meet at a point, which the stratum must pass
+    /// within `distance` (mm).
+    fn join(&mut self, point: u32, stratum: &Stratum, distance: f64) {
         let own = &mut self.strata[point as usize];
         if !own.is_on(stratum) {
-            self.joined.insert(point);
+            let known = self.joined.entry(point).or_default();
+            *known = known.max(distance);
         }
         match own.joined(stratum) {
             Some(joined) => *own = joined,
@@ -149,7 +150,7 @@ impl<'a> Complex<'a> {
         for v in vertices {
             let is_there = sheet.materials().iter().all(|&id| self.meets(v, id));
             if !is_there && self.is_passed(v, &sheet) {
-                self.join(v, &sheet);
+                self.join(v, &sheet, self.tolerance(v));
             }
         }
         self.wrong_facet(&facet).is_none()
@@ -166,7 +167,7 @@ impl<'a> Complex<'a> {
         {
             return false;
         }
-        edge.into_iter().for_each(|v| self.join(v, &curve));
+        edge.into_iter().for_each(|v| self.join(v, &curve, self.tolerance(v)));
         true
     }
 

@@ -46,7 +46,7 @@ impl Refinement<'_> {
             // A new point on a segment of four materials lies on one of their curves. The others
             // pass it within `ONE_CURVE`.
             if curve.dimension() < 1 {
-                self.complex.joined.insert(v);
+                self.complex.joined.insert(v, ONE_CURVE * self.complex.indicators.voxel());
             }
             self.complex.segments.split(pair, v, self.complex.labelled.points());
             self.report.on_curves += 1;

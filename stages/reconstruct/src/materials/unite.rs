@@ -87,8 +87,19 @@ mod tests {
         (analytic, points)
     }
 
-    /// Returns the complex of these points with segments of the axis.
+    /// Returns the complex of these points with segments of the axis, at a scale.
     fn complex_of<'a>(analytic: &'a Analytic, points: &[DVec3], pairs: &[Segment]) -> Complex<'a> {
+        complex_with(analytic, points, pairs, (1.0, false))
+    }
+
+    /// Returns the complex for a target edge length h, and whether voxel centres keep their
+    /// materials.
+    fn complex_with<'a>(
+        analytic: &'a Analytic,
+        points: &[DVec3],
+        pairs: &[Segment],
+        (h, keeps_voxels): (f64, bool),
+    ) -> Complex<'a> {
         let curve = stratum(&[1, 2, 3]);
         let sheet = |p: &DVec3| {
             let near = analytic.near(*p);
@@ -97,12 +108,28 @@ mod tests {
         };
         let prepared = Prepared {
             delaunay: Delaunay::new(points).expect("points in space"),
-            sizes: vec![1.0; points.len()],
+            sizes: vec![h; points.len()],
             strata: (0..).zip(points).map(|(v, p)| if v < 5 { curve } else { sheet(p) }).collect(),
             segments: Segments::new(pairs.iter().map(|&[a, b]| (segment(a, b), curve)), points),
             report: Taken::default(),
         };
-        Complex::new(prepared, analytic, DVec3::splat(6.0), &Options::default())
+        let options = Options { keeps_voxels, ..Options::default() };
+        Complex::new(prepared, analytic, DVec3::splat(6.0), &options)
+    }
+
+    #[test]
+    fn at_a_scale_curves_pass_points_within_a_share_of_h() {
+        let (analytic, mut points) = three_sectors();
+        // off the axis by more than 0.05 voxel and less than 0.05 h for h = 4
+        points[3] += DVec3::new(0.1, 0.0, -0.1);
+        let adopted = |h: f64, keeps_voxels: bool| {
+            let mut complex = complex_with(&analytic, &points, &[[0, 1], [1, 2]], (h, keeps_voxels));
+            complex.strata[3] = stratum(&[1, 2]);
+            (complex.adopt([2, 3]), complex.joined.get(&3).copied())
+        };
+        assert_eq!(adopted(1.0, false), (false, None));
+        assert_eq!(adopted(4.0, true), (false, None), "scale 0");
+        assert_eq!(adopted(4.0, false), (true, Some(0.2)));
     }
 
     #[test]
