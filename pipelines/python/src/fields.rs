@@ -306,8 +306,8 @@ pub(crate) fn tetrahedron_means(
     })
 }
 
-/// Copies an array of numbers on a grid. `step` contains the vectors from a voxel to the next along
-/// each axis.
+/// Copies an array of numbers on a grid. `step` contains, for each axis, the vector between
+/// adjacent voxels.
 fn stepped_grid<T: Element>(
     array: &Bound<'_, PyAny>,
     step: [[f64; 3]; 3],
