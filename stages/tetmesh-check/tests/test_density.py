@@ -33,7 +33,7 @@ from tetmesh_check.parsing import read_table
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.volumes import InputVolume
 
-NECK = LAWS["femoral-neck"]
+VERTEBRA = LAWS["vertebra"]
 PLAIN = Calibration(1.0, 0.0)
 
 
@@ -41,7 +41,7 @@ def mapped(mesh: MarkedMesh, values: np.ndarray, step: np.ndarray, bins: int = 1
     """Map voxels of density, whose sizes are ``step``, onto a mesh with a corner at the origin."""
     volume = InputVolume(values.astype(np.float32), np.diag(step), 0.5 * step, False)
     context = quiet_context()
-    scan = DensityScan(DensityArguments(Path("ct.nrrd"), PLAIN, NECK, None, bins), volume)
+    scan = DensityScan(DensityArguments(Path("ct.nrrd"), PLAIN, VERTEBRA, None, bins), volume)
     volumes = signed_tetrahedron_volumes(mesh.points, mesh.tetrahedra)
     return map_density(scan, mesh, volumes, context), context.results["density"]
 
@@ -106,7 +106,7 @@ def test_the_mass_of_a_femur_phantom_is_exact_within_a_thousandth(tmp_path: Path
     femur(tmp_path)
     write_scan(tmp_path / "ct.nrrd", bone, (40, 60, 100))
     words = ["s.vtp", "-o", "v.volume.vtu", "--method", "hxt", "--solve", "no", "-q", "--report", "r.json"]
-    words += ["--density", "ct.nrrd", "--calibrate", "0.001,0.1", "--law", "carter-hayes", "--export", "feb,inp"]
+    words += ["--density", "ct.nrrd", "--calibrate", "0.001,0.1", "--law", "keller", "--export", "feb,inp"]
     done = run(*words)
     assert done.returncode == 0, done.stderr
     points, cells, grid = tetrahedra(tmp_path / "v.volume.vtu")
@@ -116,7 +116,7 @@ def test_the_mass_of_a_femur_phantom_is_exact_within_a_thousandth(tmp_path: Path
     found = json.loads((tmp_path / "r.json").read_text())["results"]["density"]
     assert found["mass_g"] == pytest.approx(exact, rel=1e-3)
     assert found["mass_g"] == pytest.approx(1e-3 * float(density @ volumes), rel=1e-12)
-    np.testing.assert_allclose(modulus, 3790 * 0.01**0.06 * density**3, rtol=1e-12)
+    np.testing.assert_allclose(modulus, 10500 * density**2.29, rtol=1e-12)
     assert found["partly_outside"] == 0
     cards = [
         card.find("density") for card in ElementTree.parse(tmp_path / "v.volume.feb").iterfind("Material/material")
@@ -154,7 +154,7 @@ def stiffness_error(count: int) -> float:
     voxels = 2048
     values = density((np.arange(voxels) + 0.5) / voxels)[:, None, None].astype(np.float32)
     step, origin = np.diag([1 / voxels, 1.0, 1.0]).tolist(), (0.5 / voxels, 0.0, 0.0)
-    modulus = NECK.a * tetrahedron_means(values, step, origin, points, cells)[0] ** NECK.b
+    modulus = VERTEBRA.a * tetrahedron_means(values, step, origin, points, cells)[0] ** VERTEBRA.b
     basis = Basis(elements(points, cells), ElementVector(ElementTetP1()), intorder=1)
     form = BilinearForm(lambda u, v, w: w.E * ddot(sym_grad(u), sym_grad(v)))
     matrix = form.assemble(basis, E=modulus[:, None])
@@ -164,7 +164,7 @@ def stiffness_error(count: int) -> float:
     fixed = np.concatenate([ends[0].all(), ends[1].all(["u^1"])])
     displacement = solve(*condense(matrix, x=displacement, D=fixed))
     x = (np.arange(200_000) + 0.5) / 200_000
-    exact = (1 / 4) ** 2 / float(np.mean(1.0 / (NECK.a * density(x) ** NECK.b)))
+    exact = (1 / 4) ** 2 / float(np.mean(1.0 / (VERTEBRA.a * density(x) ** VERTEBRA.b)))
     return abs(float(displacement @ (matrix @ displacement)) / exact - 1.0)
 
 
@@ -179,7 +179,7 @@ def test_the_stiffness_of_a_bar_converges_in_second_order() -> None:
 
 
 def test_laws_and_calibrations_are_parsed() -> None:
-    assert read_law("femoral-neck") == NECK
+    assert read_law("vertebra") == VERTEBRA
     assert (read_law("6850,1.49").a, read_law("6850,1.49").b) == (6850.0, 1.49)
     assert read_calibration("0.001,-0.05") == Calibration(0.001, -0.05)
     # the normal equations of the points (0, 0), (100, 0.1), (200, 0.22)
@@ -199,9 +199,7 @@ def test_the_help_lists_the_laws() -> None:
     table = [line for line in lines if line.startswith("  ") and "rho^" in line]
     assert len(table) == len(LAWS)
     for line, (name, law) in zip(table, LAWS.items(), strict=True):
-        low, high = law.measured or (0.0, 0.0)
         assert line.split()[:4] == [name, f"{law.a:.0f}", f"rho^{law.b:g}", law.kind]
-        assert tuple(map(float, line.split()[4].split("-"))) == (low, high)
 
 
 def test_negative_densities_get_the_minimum_modulus() -> None:
@@ -210,7 +208,6 @@ def test_negative_densities_get_the_minimum_modulus() -> None:
     mesh, found = mapped(marked_block(), values, np.ones(3))
     clamped = mesh.fields["density"] < 0.0
     assert found["at_minimum_modulus"] == clamped.sum() == 6
-    assert found["beyond_law"] == 6
     assert (mesh.fields["E"][clamped] == MIN_MODULUS).all()
     assert found["mass_g"] == pytest.approx(1e-3 * values.sum())
     # solvers refuse densities that are not positive

@@ -350,7 +350,7 @@ UNKNOWN = {"materials": None, "volume": False}
         (ONE, "--order 2 --distfield f.vti --export carp", "--export carp with --order 2"),
         (ONE, "--labels-volume nowhere.nrrd", "nowhere.nrrd: cannot read"),
         (ONE, "--density nowhere.nrrd --calibrate 1,0 --law keller", "nowhere.nrrd: cannot read"),
-        (ONE, "--density ct.nrrd --calibrate 1,0 --law hooke", "nor one of femoral-neck"),
+        (ONE, "--density ct.nrrd --calibrate 1,0 --law hooke", "nor one of vertebra"),
         (ONE, "--source heart", "that of one object"),
         (MANY, "--source haert", "'haert' is not a material of the surface: heart, lungs"),
         (MANY, "--method tetgen", "supports one object only"),

@@ -21,28 +21,15 @@ class Law:
     b: float
     kind: str = "calibrated"
     """Kind of density: apparent, ash, or that of the calibration."""
-    measured: tuple[float, float] | None = None
-    """Range of densities that the authors measured, g/cm^3."""
     reference: str = "given on the command line"
 
 
-_MORGAN = "Morgan, Bayraktar, Keaveny, J Biomech 36:897-904, 2003"
 LAWS = {
-    "femoral-neck": Law(6850.0, 1.49, "apparent", (0.26, 0.75), _MORGAN),
-    "trochanter": Law(15010.0, 2.18, "apparent", (0.14, 0.28), _MORGAN),
-    "tibia": Law(15520.0, 1.93, "apparent", (0.09, 0.41), _MORGAN),
-    "vertebra": Law(4730.0, 1.56, "apparent", (0.11, 0.35), _MORGAN),
-    "trabecular": Law(8920.0, 1.83, "apparent", (0.09, 0.75), _MORGAN),
-    "cortical": Law(3891.0, 2.39, "apparent", (1.75, 1.95), "Snyder, Schneider, J Orthop Res 9:422-431, 1991"),
-    # a = 3790 (strain rate)^0.06, here for 0.01 per second
-    "carter-hayes": Law(
-        3790.0 * 0.01**0.06, 3.0, "apparent", (0.07, 2.0), "Carter, Hayes, J Bone Joint Surg Am 59:954-962, 1977"
-    ),
-    "keller": Law(10500.0, 2.29, "ash", (0.03, 1.22), "Keller, J Biomech 27:1159-1168, 1994"),
+    "vertebra": Law(4730.0, 1.56, "apparent", "Morgan, Bayraktar, Keaveny, J Biomech 36:897-904, 2003"),
+    "keller": Law(10500.0, 2.29, "ash", "Keller, J Biomech 27:1159-1168, 1994"),
 }
-"""Laws by name. The first four are for trabecular bone of one site, ``trabecular`` is for these
-sites together. ``cortical`` is for the tibia. The last two cover trabecular and cortical bone.
-The constants and ranges have not been compared with the papers yet."""
+"""Laws by name: ``vertebra`` is for trabecular bone of that site, ``keller`` for trabecular and
+cortical bone. The constants are those of public programs that cite these papers."""
 
 
 def read_law(text: str) -> Law:

@@ -136,9 +136,7 @@ def _modulus(arguments: DensityArguments, density: Values, context: Context) -> 
     law, count = arguments.law, len(density)
     modulus = law.a * np.maximum(density, 0.0) ** law.b
     clamped: NDArray[np.bool_] = modulus < MIN_MODULUS
-    low, high = law.measured or (-np.inf, np.inf)
-    beyond = (density < low) | (density > high)
-    context.results["density"] |= {"at_minimum_modulus": int(clamped.sum()), "beyond_law": int(beyond.sum())}
+    context.results["density"]["at_minimum_modulus"] = int(clamped.sum())
     if clamped.mean() > MAX_SHARE:
         context.warn(
             f"{int(clamped.sum())} of {count} tetrahedra have a density near or below 0 and get the minimum E, "
