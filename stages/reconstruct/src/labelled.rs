@@ -30,8 +30,7 @@ pub struct Labelled<L> {
     /// Upper corner of the volume in the grid frame, mm. The lower corner is the origin.
     upper: DVec3,
     labels: Vec<L>,
-    /// Tetrahedra that await a label: those created, or marked by `reconsider`, since the last call
-    /// of `decide`.
+    /// Tetrahedra that await a label: those created since the last call of `decide`.
     undecided: Vec<u32>,
     /// Tetrahedra that were labelled since the last call of `take_changed`.
     changed: Vec<u32>,
@@ -92,13 +91,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
     }
 
-    /// Marks the tetrahedra at a point, so that the next call of [`Self::decide`] labels them
-    /// again.
-    pub fn reconsider(&mut self, point: u32) {
-        self.undecided.extend(star(&self.delaunay, point));
-    }
-
-    /// Labels every tetrahedron created or marked since the last call, with `label` as in
+    /// Labels every tetrahedron created since the last call, with `label` as in
     /// [`Self::new`].
     pub fn decide(&mut self, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) {
         self.labels.resize(self.delaunay.slot_count(), L::default());

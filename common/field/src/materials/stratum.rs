@@ -67,15 +67,6 @@ impl Stratum {
         Self::new(&ids)
     }
 
-    /// Returns the junction curves that this stratum lies on, one for each triple of its materials.
-    /// A curve lies on itself; an interface lies on no curve.
-    pub fn curves(&self) -> impl Iterator<Item = Self> + use<> {
-        let ids = self.ids;
-        let three = move |skipped: usize| [0, 1, 2].map(|n| ids[n + usize::from(n >= skipped)]);
-        let skipped = if self.count() < 3 { 4..4 } else { self.count() % 4..4 };
-        skipped.filter_map(move |skipped| Self::new(&three(skipped)))
-    }
-
     /// Returns whether a material belongs to the stratum.
     pub fn has(&self, id: MaterialId) -> bool {
         self.materials().contains(&id)
@@ -108,14 +99,10 @@ mod tests {
     }
 
     #[test]
-    fn strata_join_up_to_four_materials_and_list_their_curves() {
+    fn strata_join_up_to_four_materials() {
         let of = |ids: &[u16]| stratum(ids).expect("valid");
         assert_eq!(of(&[0, 3, 7]).joined(&of(&[7, 2, 0])), stratum(&[0, 2, 3, 7]));
         assert_eq!(of(&[0, 3, 7, 8]).joined(&of(&[7, 2, 0])), None);
-        assert_eq!(of(&[0, 3]).curves().count(), 0);
-        assert_eq!(of(&[0, 3, 7]).curves().collect::<Vec<_>>(), [of(&[0, 3, 7])]);
-        let four = [[3, 7, 9], [0, 7, 9], [0, 3, 9], [0, 3, 7]].map(|ids| of(&ids));
-        assert_eq!(of(&[0, 3, 7, 9]).curves().collect::<Vec<_>>(), four);
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! | violations and their remedies | [`topology`], [`criteria`], [`nodes`] |
 //! | insertion of points, segments split on their curves | [`refine`], `cut` |
 //! | tetrahedra that change their material where points do not help | `relabel` |
-//! | redundant segments dropped, vertices joined to interfaces that pass them | `unite` |
+//! | edges that become segments where strata are merged, redundant segments dropped | `unite` |
 //! | short segments of curves contracted at a scale | `contract` |
 //! | improvement of the triangles | [`improve`] |
 //! | components of the materials | [`pieces`] |

@@ -4,7 +4,7 @@
 //! The result is triangulated.
 
 use super::segments::Segments;
-use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
+use super::way::{LONGEST_WAY, length};
 use crate::interfaces::{Segment, segment};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
@@ -319,9 +319,8 @@ fn without_the_crowded(
 ///
 /// Two junction points with four common materials have the shortest curve of three of them that
 /// leads from one to the other. A curve with particles on this path is excluded, because the
-/// segments on it are those of the particles. If another such curve stays within `ONE_CURVE` of the
-/// shortest one, the pair has the materials of both. If no curve can be followed, the pair has the
-/// curve with the maximum clearance at the midpoint.
+/// segments on it are those of the particles. If no curve can be followed, the pair has the curve
+/// with the maximum clearance at the midpoint.
 fn with_curves(
     pairs: &[Segment],
     points: &[Point],
@@ -348,15 +347,9 @@ fn with_curves(
         };
         let free = |&curve: &Stratum| {
             let way = way_along(indicators, curve, upper, [a.place, b.place], longest)?;
-            (!is_taken(&curve, &way)).then(|| (curve, length(&way), way))
+            (!is_taken(&curve, &way)).then(|| (curve, length(&way)))
         };
-        let mut ways: Vec<(Stratum, f64, Vec<DVec3>)> = curves.iter().filter_map(free).collect();
-        ways.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let is_one = |way: &[DVec3], p: DVec3| foot(way, p).1 < ONE_CURVE * indicators.voxel();
-        let shortest = ways.first().map(|(curve, _, way)| {
-            let same = ways[1..].iter().find(|(.., other)| other.iter().all(|&p| is_one(way, p)));
-            same.and_then(|(other, ..)| curve.joined(other)).unwrap_or(*curve)
-        });
+        let shortest = curves.iter().filter_map(free).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(curve, _)| curve);
         let middle = a.place.midpoint(b.place);
         let real = |curve: &Stratum| indicators.clearance(middle, curve.materials());
         let in_the_middle = || curves.iter().copied().max_by(|a, b| real(a).total_cmp(&real(b)));

@@ -11,15 +11,13 @@ use super::complex::Complex;
 use super::criteria::{Mend, Violation};
 use super::nodes::Nodes;
 use super::topology::Simplices;
-use crate::around::star;
-use crate::interfaces::Segment;
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use serde::Serialize;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// Maximum number of searches for grid nodes in other materials, each with an empty queue.
 const NODE_ROUNDS: usize = 12;
@@ -29,13 +27,10 @@ const NODE_ROUNDS: usize = 12;
 pub struct RefineReport {
     /// Violations at the start, by reason, without grid nodes.
     pub violations: BTreeMap<Reason, usize>,
-    /// Violations repaired, by reason: by an inserted point, or by a split at an existing point
-    /// (`passes`).
+    /// Violations repaired by an inserted point, by reason.
     pub inserted: BTreeMap<Reason, usize>,
     /// Points inserted on junction curves.
     pub on_curves: usize,
-    /// Splits of a segment at an existing point that its curve passes within `ONE_CURVE`.
-    pub passes: usize,
     /// Edges without a segment that became one, because their curve passes both ends within the
     /// tolerance.
     pub adopted: usize,
@@ -70,9 +65,6 @@ pub struct Refinement<'a> {
     /// The report so far.
     pub report: RefineReport,
     queue: Queue<Mend>,
-    /// Segments and existing points at which they were split, so that splits are not repeated
-    /// indefinitely.
-    pub(super) passes: BTreeSet<(Segment, u32)>,
     /// Grid nodes that must keep their materials; `None` if no node must.
     pub(super) nodes: Option<&'a Nodes>,
 }
@@ -116,7 +108,7 @@ impl<'a> Refinement<'a> {
         let found = complex.violations(&Simplices::all(&complex, complex.labelled.facets()));
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
-        let mut new = Self { complex, report, queue: Queue::default(), passes: BTreeSet::new(), nodes };
+        let mut new = Self { complex, report, queue: Queue::default(), nodes };
         new.queue.add(found);
         new
     }
@@ -136,16 +128,7 @@ impl<'a> Refinement<'a> {
             }
         }
         self.report.relabelled += self.relabel(&mut step)?;
-        // Remaining edges without a segment may still lie on a curve.
-        let found = self.adopt();
-        if !found.is_empty() {
-            self.drain(found, &mut step)?;
-            self.complex.give_up_adopted();
-            self.report.relabelled += self.relabel(&mut step)?;
-            self.complex.give_up_adopted();
-        }
         self.unite();
-        self.report.adopted = self.complex.segments.adopted().len();
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
         for (reason, _) in self.complex.wrong(&Simplices::all(&self.complex, facets.clone())) {
@@ -156,23 +139,6 @@ impl<'a> Refinement<'a> {
             self.report.unresolved.insert(Reason::Node, wrong.len());
         }
         Ok(facets)
-    }
-
-    /// Makes edges at which three or four materials meet segments, if their curve passes both ends
-    /// within the tolerance. Returns the violations around them.
-    fn adopt(&mut self) -> Vec<Violation> {
-        let wrong = self.complex.wrong(&Simplices::all(&self.complex, self.complex.labelled.facets()));
-        let mut changed = Vec::new();
-        for (_, simplex) in wrong {
-            if let Simplex::Edge(edge) = simplex
-                && self.complex.adopt(edge)
-            {
-                edge.iter().for_each(|&v| changed.extend(star(self.complex.labelled.delaunay(), v)));
-            }
-        }
-        changed.sort_unstable();
-        changed.dedup();
-        self.complex.violations(&Simplices::of(&self.complex, &changed))
     }
 
     /// Returns the violations at grid nodes in other materials.
@@ -196,11 +162,7 @@ impl<'a> Refinement<'a> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
-            // The split of a segment at an existing point needs no room.
-            return match violation.simplex {
-                Simplex::Edge(pair) => self.split(pair, least),
-                _ => Ok(false),
-            };
+            return Ok(false);
         }
         match violation.remedy {
             Mend::None => Ok(false),

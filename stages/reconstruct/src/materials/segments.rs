@@ -6,7 +6,7 @@ use crate::interfaces::{Segment, segment};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::spatial::Bins;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 
 /// Segments, indexed by both ends, by each end and by midpoint.
 #[derive(Clone, Debug)]
@@ -19,9 +19,6 @@ pub struct Segments {
     middles: Bins<Segment>,
     /// Maximum length of the initial segments, mm.
     longest: f64,
-    /// Segments adopted from edges of the triangulation. They are removed when they are no longer
-    /// edges between their materials.
-    adopted: BTreeSet<Segment>,
 }
 
 impl Segments {
@@ -31,7 +28,7 @@ impl Segments {
         let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
         let longest = pairs.keys().map(length).fold(0.0, f64::max);
         let middles = Bins::new(if longest > 0.0 { 0.5 * longest } else { 1.0 });
-        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles, longest, adopted: BTreeSet::new() };
+        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles, longest };
         pairs.into_iter().for_each(|(pair, curve)| new.add(pair, curve, points));
         new
     }
@@ -39,8 +36,8 @@ impl Segments {
     /// Adds a segment, which must not be longer than `longest`. A segment that exists already gets
     /// the materials of both curves.
     fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
-        if self.curve.contains_key(&pair) {
-            self.widen(pair, curve);
+        if let Some(known) = self.curve.get_mut(&pair) {
+            *known = known.joined(&curve).unwrap_or(*known);
             return;
         }
         self.curve.insert(pair, curve);
@@ -50,46 +47,11 @@ impl Segments {
         self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
     }
 
-    /// Adds the materials of a stratum to those of a segment, if this gives at most four.
-    pub fn widen(&mut self, pair: Segment, stratum: Stratum) {
-        if let Some(known) = self.curve.get_mut(&pair) {
-            *known = known.joined(&stratum).unwrap_or(*known);
-        }
-    }
-
-    /// Returns whether a segment can be split at an existing point: neither part is longer than
-    /// `longest` or gets more than four materials.
-    pub fn can_pass(&self, [a, b]: Segment, by: u32, points: &[DVec3]) -> bool {
-        let Some(curve) = self.curve([a, b]) else { return false };
-        let fits = |end: u32| {
-            let known = self.curve(segment(end, by)).unwrap_or(curve);
-            points[end as usize].distance(points[by as usize]) <= self.longest && known.joined(&curve).is_some()
-        };
-        by != a && by != b && fits(a) && fits(b)
-    }
-
-    /// Returns whether segments with all materials of the curve of `pair` connect a point to both
-    /// of its ends.
-    pub fn is_covered(&self, pair: Segment, by: u32) -> bool {
-        let Some(curve) = self.curve(pair) else { return false };
-        pair.iter().all(|&end| self.curve(segment(end, by)).is_some_and(|known| known.is_on(&curve)))
-    }
-
-    /// Replaces a segment by two through a point. The parts of an adopted segment are adopted if
-    /// they are new. An adopted segment that coincides with a part of another segment is no longer
-    /// adopted.
+    /// Replaces a segment by two through a point.
     pub fn split(&mut self, pair: Segment, by: u32, points: &[DVec3]) {
         let Some(curve) = self.curve(pair) else { return };
-        let is_adopted = self.remove(pair, points);
-        for end in pair {
-            let new = segment(end, by);
-            if !is_adopted {
-                self.adopted.remove(&new);
-            } else if !self.curve.contains_key(&new) {
-                self.adopted.insert(new);
-            }
-            self.add(new, curve, points);
-        }
+        self.remove(pair, points);
+        pair.iter().for_each(|&end| self.add(segment(end, by), curve, points));
     }
 
     /// Adds an edge of the triangulation whose ends lie on a curve, if it is not a segment yet and
@@ -98,26 +60,19 @@ impl Segments {
         let [a, b] = edge.map(|v| points[v as usize]);
         let is_new = !self.curve.contains_key(&edge) && a.distance(b) <= self.longest;
         if is_new {
-            self.adopted.insert(edge);
             self.add(edge, curve, points);
         }
         is_new
     }
 
-    /// Returns the adopted segments, ascending.
-    pub fn adopted(&self) -> Vec<Segment> {
-        self.adopted.iter().copied().collect()
-    }
-
-    /// Removes a segment. Returns whether it was adopted.
-    pub fn remove(&mut self, pair: Segment, points: &[DVec3]) -> bool {
+    /// Removes a segment.
+    pub fn remove(&mut self, pair: Segment, points: &[DVec3]) {
         self.curve.remove(&pair);
         let [a, b] = pair;
         for (from, to) in [(a, b), (b, a)] {
             self.ends.entry(from).or_default().retain(|&end| end != to);
         }
         self.middles.remove(points[a as usize].midpoint(points[b as usize]), &pair);
-        self.adopted.remove(&pair)
     }
 
     /// Returns whether the segments at a point can move to another point: none gets more than four
@@ -209,15 +164,9 @@ mod tests {
         assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
         assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
-        // the parts of an adopted segment are adopted, until a part of another segment coincides
-        // with them
-        points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
+        points.push(DVec3::new(1.0, 1.0, 0.0));
         assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));
-        segments.split([0, 4], 5, &points);
-        assert_eq!(segments.adopted(), [[0, 5], [4, 5]]);
-        segments.split([0, 3], 5, &points);
-        assert_eq!(segments.adopted(), [[4, 5]]);
-        assert!(segments.remove([4, 5], &points) && !segments.remove([0, 5], &points));
-        assert_eq!((segments.curve([4, 5]), segments.count()), (None, 3));
+        segments.remove([0, 4], &points);
+        assert_eq!((segments.curve([0, 4]), segments.count()), (None, 3));
     }
 }

@@ -1,7 +1,6 @@
 //! The final changes to the strata of a complex, after the last point is inserted. Edges on which
 //! three or four materials meet become segments if their curve passes both ends within the
-//! tolerance ([`Complex::tolerance`]). Superfluous segments are dropped. Vertices of facets are
-//! joined to the interface if it passes them within the tolerance.
+//! tolerance ([`Complex::tolerance`]). Superfluous segments are dropped.
 
 use super::complex::Complex;
 use super::refine::Refinement;
@@ -10,29 +9,22 @@ use crate::interfaces::Segment;
 use crate::queue::{Reason, Simplex};
 
 impl Refinement<'_> {
-    /// Adopts edges as segments, drops superfluous segments, and joins vertices to interfaces. No
-    /// tetrahedron changes its material.
+    /// Adopts edges as segments, and drops superfluous segments. No tetrahedron changes its
+    /// material.
     pub(super) fn unite(&mut self) {
         let complex = &mut self.complex;
         let wrong = |complex: &Complex| complex.wrong(&Simplices::all(complex, complex.labelled.facets()));
         for (_, simplex) in wrong(complex) {
             if let Simplex::Edge(edge) = simplex {
-                complex.adopt(edge);
+                self.report.adopted += usize::from(complex.adopt(edge));
             }
         }
-        complex.give_up_adopted();
-        let found = wrong(complex);
-        for (reason, simplex) in &found {
+        for (reason, simplex) in wrong(complex) {
             if let (Simplex::Edge(pair), Reason::Segment | Reason::Ring) = (simplex, reason)
-                && is_superfluous(complex, *pair)
+                && is_superfluous(complex, pair)
             {
                 self.report.superfluous += 1;
-                complex.segments.remove(*pair, complex.labelled.points());
-            }
-        }
-        for (_, simplex) in found {
-            if let Simplex::Facet(vertices) = simplex {
-                complex.join_facet(vertices);
+                complex.segments.remove(pair, complex.labelled.points());
             }
         }
     }

@@ -111,19 +111,19 @@ pub fn way_round<I: Indicators + ?Sized>(
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
-/// Returns paths along a junction curve from one position on it to another, including both
-/// positions. `corner` is the upper corner of the grid in mm. There is at most one path for each
-/// direction. The paths are sorted by length. A search stops when its path reaches the length
-/// `longest` (mm). A path may cross parts of the curve where another indicator is smaller by less
-/// than [`SAME_JUNCTION`], because positions a step apart do not resolve such parts.
-pub fn ways_along<I: Indicators + ?Sized>(
+/// Returns the shortest path along a junction curve from one position on it to another, including
+/// both positions. `corner` is the upper corner of the grid in mm. The search in each direction
+/// stops when its path reaches the length `longest` (mm). A path may cross parts of the curve where
+/// another indicator is smaller by less than [`SAME_JUNCTION`], because positions a step apart do
+/// not resolve such parts.
+pub fn way_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
     corner: DVec3,
     [from, to]: [DVec3; 2],
     longest: f64,
-) -> Vec<Vec<DVec3>> {
-    let &[i, j, k] = curve.materials() else { return Vec::new() };
+) -> Option<Vec<DVec3>> {
+    let &[i, j, k] = curve.materials() else { return None };
     let follower = Follower { indicators, corner, own: [i, j, k], undercut: SAME_JUNCTION };
     let there = END_TOLERANCE * indicators.voxel();
     let way = |sign: f64| {
@@ -143,20 +143,8 @@ pub fn ways_along<I: Indicators + ?Sized>(
         }
         is_there.then(|| (length, std::iter::once(from).chain(places).chain([to]).collect::<Vec<_>>()))
     };
-    let mut ways: Vec<(f64, Vec<DVec3>)> = [way(1.0), way(-1.0)].into_iter().flatten().collect();
-    ways.sort_by(|a, b| a.0.total_cmp(&b.0));
-    ways.into_iter().map(|(_, places)| places).collect()
-}
-
-/// Returns the shortest path of [`ways_along`].
-pub fn way_along<I: Indicators + ?Sized>(
-    indicators: &I,
-    curve: Stratum,
-    corner: DVec3,
-    ends: [DVec3; 2],
-    longest: f64,
-) -> Option<Vec<DVec3>> {
-    ways_along(indicators, curve, corner, ends, longest).into_iter().next()
+    let ways = [way(1.0), way(-1.0)].into_iter().flatten();
+    ways.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, places)| places)
 }
 
 /// Returns a path along a junction curve. It starts at a position on the curve and runs in the

@@ -22,7 +22,7 @@ mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, JunctionPoint};
-pub use follow::{SAME_JUNCTION, way_along, way_from, way_round, ways_along};
+pub use follow::{SAME_JUNCTION, way_along, way_from, way_round};
 
 use super::{Indicators, Materials, Stratum};
 use cells::{Name, Part, part};
