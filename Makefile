@@ -174,7 +174,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   CROP=...      region to keep: mm:0..50,..,10.. or voxels:0..99,..,.. or a mask file
   DOWNSAMPLE=.. join this many voxels along each axis (2 or 2,2,1)
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. maximum memory of a stage
-  TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0
+  TET_ORDER=2   also write quadratic tetrahedra; mid-edge nodes of surface edges lie on F = 0 or on the interfaces
   FOR=...       also write the tetrahedra for this program: simnibs, brainstorm, opencarp, febio,
                 calculix or fenicsx
   ACCEPT_LOSSES=yes  accept materials whose volume a scale changes by more than 10 %; the verdict lists them

@@ -80,7 +80,7 @@ pub const KEYS: [Key; 40] = [
     key(
         "TET_ORDER",
         Form::OneOf(&["1", "2"]),
-        "the order of the tetrahedra; 2 adds mid-edge nodes, on F = 0 for edges of the surface",
+        "the order of the tetrahedra; 2 adds mid-edge nodes, on F = 0 or on interfaces for surface edges",
     ),
     key(
         "FOR",

@@ -24,12 +24,11 @@ pub struct Settings {
 }
 
 /// Pairs of mutually exclusive keys, with the reason.
-const EXCLUSIVE: [(&str, &str, &str); 11] = [
+const EXCLUSIVE: [(&str, &str, &str); 10] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file or a phantom"),
     ("ISO", "LABELS", "a volume is meshed either as a scan or as a label map"),
     ("ISO", "MATERIALS", "a volume is meshed either as a scan or as a label map"),
     ("LABELS", "MATERIALS", "LABELS joins labels to one object, MATERIALS keeps them apart"),
-    ("TET_ORDER", "MATERIALS", "mid-edge nodes are supported for one object only"),
     ("SIZE", "EPSILON", SIZE_IS_UNIFORM),
     ("SIZE", "DELTA", SIZE_IS_UNIFORM),
     ("SIZE", "MIN_SIZE", SIZE_IS_UNIFORM),

@@ -8,6 +8,7 @@
 mod arrays;
 mod context;
 mod data;
+mod distance;
 mod errors;
 mod fields;
 mod meshes;
@@ -33,7 +34,9 @@ mod _native {
     #[pymodule_export]
     use crate::data::{Data, load};
     #[pymodule_export]
-    use crate::fields::{GridField, jacobian_coefficients, labels_at, read_volume, tetrahedron_means};
+    use crate::distance::{DistanceField, jacobian_coefficients};
+    #[pymodule_export]
+    use crate::fields::{GridField, labels_at, read_volume, tetrahedron_means};
     #[pymodule_export]
     use crate::meshes::{
         changed_triangles, check_complex, describe_complex, distances_both_ways, nearest_flags, self_intersections,

@@ -22,7 +22,7 @@ from tetmesh_check.regions import CAP
 
 
 def curved(folder: Path) -> MarkedMesh:
-    return small_mesh(read_distance_field(write_distance(folder / "f.vti", of_ball), ball().points)[0])
+    return small_mesh(read_distance_field(write_distance(folder / "f.vti", of_ball), ball().points, [])[0])
 
 
 def test_meshio_finds_the_groups(tmp_path: Path) -> None:

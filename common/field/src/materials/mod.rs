@@ -9,13 +9,14 @@
 //! *junction point*. Interfaces, curves and points are called *strata*.
 //!
 //! Algorithms access indicators through the trait [`Indicators`]. [`Materials`] implements it for
-//! samples on a grid, and [`Analytic`] implements it for functions.
+//! samples on a grid, [`Object`] for the spline of one object, and [`Analytic`] for functions.
 
 mod analytic;
 pub mod complex;
 mod error;
 mod index;
 mod indicator;
+mod object;
 mod strata;
 mod stratum;
 #[cfg(test)]
@@ -25,10 +26,11 @@ pub use analytic::{Analytic, ball, half_space, maximum, minimum, negative};
 pub use error::Error;
 pub use index::{Materials, ON_INTERFACE};
 pub use indicator::{BLOCK, CELLS, Indicator, IndicatorParts, KNOWN_VOXELS, bricks_along};
+pub use object::Object;
 pub use strata::{InterfaceFunction, LEAST_SQUARED_SINE};
 pub use stratum::Stratum;
 
-use crate::spline::Jet;
+use crate::spline::{Jet, distance_estimate};
 use glam::{DMat3, DVec3};
 use isoparticles_volume::LayerLabel;
 use serde::{Deserialize, Serialize};
@@ -248,5 +250,47 @@ pub trait Indicators: Sync {
             strata::point_step(others.map(|other| strata::half_difference(first, other))).map(|step| (step, ()))
         })
         .map(|(p, ())| p)
+    }
+
+    /// Projects `start` onto a stratum: an interface ([`Self::project_onto_interface`]), a curve
+    /// ([`Self::project_onto_curve`]) or a point ([`Self::project_onto_point`]).
+    fn project_onto(&self, stratum: Stratum, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        match *stratum.materials() {
+            [i, j] => self.project_onto_interface([i, j], start, limit, tolerance),
+            [i, j, k] => self.project_onto_curve([i, j, k], start, limit, tolerance),
+            [i, j, k, l] => self.project_onto_point([i, j, k, l], start, limit, tolerance),
+            _ => None,
+        }
+    }
+
+    /// Projects `start` onto the interface of two materials, or onto the nearest junction curve of
+    /// more materials, which are ascending. `limit` and `tolerance` are as in
+    /// [`Self::project_onto`]. Also returns `None` unless the interface or curve is real at the
+    /// result, to within [`complex::SAME_JUNCTION`].
+    fn project_onto_meeting(&self, own: &[MaterialId], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        let least = -complex::SAME_JUNCTION * self.voxel();
+        let place = |own: &[MaterialId]| {
+            let place = self.project_onto(Stratum::new(own)?, start, limit, tolerance)?;
+            (self.clearance(place, own) > least).then_some(place)
+        };
+        if own.len() < 3 {
+            return place(own);
+        }
+        let later = |i: usize| (i + 1..own.len()).map(move |j| [i, j]);
+        let three = (0..own.len()).flat_map(later).flat_map(|[i, j]| (j + 1..own.len()).map(move |k| [i, j, k]));
+        let places = three.filter_map(|three| place(&three.map(|n| own[n])));
+        places.min_by(|a, b| a.distance_squared(start).total_cmp(&b.distance_squared(start)))
+    }
+
+    /// Returns the largest first-order distance (mm) of a position from an interface of two of the
+    /// materials `own`. It is not finite if an indicator is not known there.
+    fn distance_from_meeting(&self, own: &[MaterialId], grid: DVec3) -> f64 {
+        let all: Vec<(f64, DVec3)> = own.iter().map(|&id| self.value_gradient(id, grid)).collect();
+        let pairs = all.iter().enumerate().flat_map(|(n, a)| all[..n].iter().map(move |b| (*a, *b)));
+        let distance = |(a, b)| {
+            let (value, gradient) = strata::half_difference(a, b);
+            distance_estimate(value, gradient).abs()
+        };
+        pairs.map(distance).fold(0.0, |largest, own| if own.is_nan() { f64::INFINITY } else { largest.max(own) })
     }
 }

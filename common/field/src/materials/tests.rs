@@ -178,6 +178,45 @@ fn junction_curves_are_met() {
 }
 
 #[test]
+fn a_meeting_is_an_interface_or_the_nearest_real_curve() {
+    let analytic = sectors(CENTRE);
+    let meet = |own: &[usize], start| {
+        let own: Vec<MaterialId> = own.iter().map(|&n| IDS[n]).collect();
+        analytic.project_onto_meeting(&own, start, 2.0, 1e-9).inspect(|&p| {
+            assert!(own.len() > 3 || analytic.distance_from_meeting(&own, p) < 1e-8);
+        })
+    };
+    let near = CENTRE + DVec3::new(0.3, -0.2, 5.0);
+    let on_axis = meet(&[1, 2, 3], near).expect("near the axis");
+    assert!((on_axis - near).z.abs() < 1e-9);
+    // the other curves of the four materials are farther than 2 mm
+    assert_eq!(meet(&[0, 1, 2, 3], near), Some(on_axis));
+    // beyond the ball, the planes between the sectors are not real
+    assert_eq!(meet(&[1, 2, 3], CENTRE + DVec3::Z * 9.0), None);
+    assert_eq!(meet(&[0, 2], near), None);
+    assert_eq!(meet(&[1], near), None);
+    let own = [IDS[0], IDS[1], IDS[2]];
+    // 1 mm below the sphere, whose function and that of a plane have normals at right angles
+    assert!((analytic.distance_from_meeting(&own, CENTRE + DVec3::Z * 7.0) - 0.5f64.sqrt()).abs() < 1e-12);
+}
+
+#[test]
+fn the_interface_of_an_object_is_its_zero_set() {
+    let geometry = Geometry::axis_aligned([25; 3], DVec3::ONE);
+    let spline = CubicSpline::new(&Image::sampled(geometry, |p| (p.distance(CENTRE) - 7.0) as f32));
+    let object = Object(spline.clone());
+    let own = [Object::INSIDE, MaterialId::OUTSIDE];
+    for n in 0..50 {
+        let start = place(n);
+        assert_eq!(object.difference_gradient(own[0], own[1], start), spline.value_gradient(start));
+        assert_eq!(object.material_at(start) == Object::INSIDE, spline.value(start) < 0.0);
+        let [one, other] = [object.project_onto_interface(own, start, 2.0, 1e-9), spline.project(start, 2.0, 1e-9)];
+        assert_eq!(one.is_some(), other.is_some());
+        assert!(one.zip(other).is_none_or(|(p, q)| p.distance(q) < 1e-8));
+    }
+}
+
+#[test]
 fn junction_points_are_met_to_second_order() {
     for analytic in [corners(CENTRE), balls(CENTRE)] {
         for n in 0..100 {

@@ -1,5 +1,6 @@
-//! Quadratic tetrahedra: a node on each edge, on a given surface where the edge belongs to the
-//! boundary, and at the midpoint elsewhere.
+//! Quadratic tetrahedra: a node on each edge, on the interface of two materials where the edge
+//! belongs to one, on the junction curve where more materials meet, and at the midpoint elsewhere.
+//! The surface of one object is the interface of the materials 1 and 0.
 //!
 //! The Jacobian determinant of a quadratic tetrahedron is a cubic polynomial. Its minimum is at
 //! least the smallest of its 20 Bezier coefficients, whose mean is six times the volume (Johnen,
@@ -30,6 +31,25 @@ const LONGEST_MOVE: f64 = 0.25;
 /// The last value is 3 % of the height of the arc.
 const HALVINGS: i32 = 5;
 
+/// An edge or a vertex where materials meet, and these materials, ascending.
+pub type Meeting = (u32, Vec<u32>);
+
+/// Returns the corners of triangles, ascending, with the materials of their triangles. `between`
+/// contains the two materials of each triangle, or none for a flat triangle, whose corners are left
+/// out.
+pub fn meetings(triangles: &[[u32; 3]], between: &[Option<[u32; 2]>]) -> Vec<Meeting> {
+    let of_triangle = |(corners, sides): (&[u32; 3], &Option<[u32; 2]>)| {
+        let sides = sides.map_or([None; 2], |pair| pair.map(Some));
+        corners.map(|corner| sides.map(|side| (corner, side)))
+    };
+    let mut all: Vec<(u32, Option<u32>)> = triangles.iter().zip(between).flat_map(of_triangle).flatten().collect();
+    all.par_sort_unstable();
+    all.dedup();
+    // no material precedes all materials
+    let curved = all.chunk_by(|a, b| a.0 == b.0).filter(|own| own[0].1.is_some());
+    curved.map(|own| (own[0].0, own.iter().filter_map(|(_, id)| *id).collect())).collect()
+}
+
 /// The nodes on the edges of a mesh, and the elements that they form.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Quadratic {
@@ -39,13 +59,13 @@ pub struct Quadratic {
     pub midpoints: Vec<DVec3>,
     /// The nodes of each tetrahedron, in VTK order.
     pub of_cells: Vec<[u32; 6]>,
-    /// The nodes of each boundary triangle.
+    /// The nodes of each triangle of the interfaces.
     pub of_triangles: Vec<[u32; 3]>,
-    /// The edges whose nodes should lie on the surface, ascending.
-    pub on_surface: Vec<u32>,
-    /// Number of nodes that were moved back from the surface.
+    /// The edges whose nodes should lie on an interface or a junction curve.
+    pub on_surface: Vec<Meeting>,
+    /// Number of these nodes that were moved back from it.
     pub drawn_back: usize,
-    /// Number of nodes that should lie on the surface, but are too far from it.
+    /// Number of these nodes that are too far from it.
     pub too_far: usize,
     /// Smallest Bezier coefficient of the Jacobian of each element, relative to that of the
     /// straight tetrahedron; 1 if the element is straight.
@@ -57,35 +77,29 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Places the nodes. `triangles` are the boundary, and `curved` states for each triangle
-    /// whether it lies on the surface; an edge of any other triangle remains straight. `project`
-    /// moves a point onto the surface, by at most a given distance.
+    /// Places the nodes. `triangles` are the faces between the materials `between` ([`meetings`]);
+    /// an edge of a flat triangle remains straight. `project` moves a point to where the given
+    /// materials meet, by at most a given distance.
     pub fn new(
         points: &[DVec3],
         cells: &[[u32; 4]],
         triangles: &[[u32; 3]],
-        curved: &[bool],
-        project: impl Fn(DVec3, f64) -> Option<DVec3> + Sync,
+        between: &[Option<[u32; 2]>],
+        project: impl Fn(&[u32], DVec3, f64) -> Option<DVec3> + Sync,
     ) -> Self {
         let (edges, mut new) = Self::number_edges(cells, triangles);
         let ends = |edge: &[u32; 2]| edge.map(|v| points[v as usize]);
         new.midpoints = edges.par_iter().map(|edge| ends(edge).iter().sum::<DVec3>() / 2.0).collect();
-        let mut is_on_surface = vec![false; edges.len()];
-        for wanted in [true, false] {
-            for (nodes, _) in new.of_triangles.iter().zip(curved).filter(|(_, own)| **own == wanted) {
-                nodes.iter().for_each(|&node| is_on_surface[node as usize] = wanted);
-            }
-        }
-        new.on_surface = (0..).zip(&is_on_surface).filter(|(_, on)| **on).map(|(edge, _)| edge).collect();
-        let target = |&edge: &u32| {
-            let [a, b] = ends(&edges[edge as usize]);
-            project(new.midpoints[edge as usize], LONGEST_MOVE * a.distance(b))
+        new.on_surface = meetings(&new.of_triangles, between);
+        let target = |(edge, materials): &Meeting| {
+            let [a, b] = ends(&edges[*edge as usize]);
+            project(materials, new.midpoints[*edge as usize], LONGEST_MOVE * a.distance(b))
         };
         let targets: Vec<Option<DVec3>> = new.on_surface.par_iter().map(target).collect();
         let mut moves = vec![DVec3::ZERO; edges.len()];
-        for (&edge, target) in new.on_surface.iter().zip(targets) {
+        for ((edge, _), target) in new.on_surface.iter().zip(targets) {
             match target {
-                Some(target) => moves[edge as usize] = target - new.midpoints[edge as usize],
+                Some(target) => moves[*edge as usize] = target - new.midpoints[*edge as usize],
                 None => new.too_far += 1,
             }
         }
@@ -98,6 +112,8 @@ impl Quadratic {
         let edge = |a: u32, b: u32| [a.min(b), a.max(b)];
         let of_cell = |cell: &[u32; 4]| EDGES.map(|[i, j]| edge(cell[i], cell[j]));
         let mut edges: Vec<[u32; 2]> = cells.par_iter().flat_map_iter(of_cell).collect();
+        // a mesh that misses a triangle may lack its edges
+        edges.extend(triangles.iter().flat_map(|t| FACE_EDGES.map(|[i, j]| edge(t[i], t[j]))));
         edges.par_sort_unstable();
         edges.dedup();
         let number = |edge: [u32; 2]| edges.partition_point(|other| *other < edge) as u32;
@@ -216,15 +232,15 @@ mod tests {
     fn on_sphere(height: f64) -> Quadratic {
         let base = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| (axis + DVec3::splat(0.3)).normalize());
         let points = [base[0], base[2], base[1], base.iter().sum::<DVec3>() / 3.0 - DVec3::splat(height)];
-        let project = |p: DVec3, _| Some(p.normalize());
-        Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[true], project)
+        let project = |_: &[u32], p: DVec3, _| Some(p.normalize());
+        Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[Some([1, 0])], project)
     }
 
     #[test]
     fn nodes_lie_on_the_sphere_unless_they_fold_the_element() {
         let high = on_sphere(0.5);
         assert_eq!((high.on_surface.len(), high.drawn_back, high.too_far, high.folded()), (3, 0, 0, 0));
-        assert!(high.on_surface.iter().all(|&node| (high.nodes[node as usize].length() - 1.0).abs() < 1e-14));
+        assert!(high.on_surface.iter().all(|(node, _)| (high.nodes[*node as usize].length() - 1.0).abs() < 1e-14));
         assert!(high.volumes[0] > high.straight_volumes[0]);
     }
 
@@ -234,12 +250,23 @@ mod tests {
         let points = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| (axis + DVec3::splat(0.3)).normalize());
         let apex = points.iter().sum::<DVec3>() / 3.0 + DVec3::splat(0.02);
         let points = [points[0], points[1], points[2], apex];
-        let found = Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[true], |p, _| Some(p.normalize()));
+        let of = |between, project: fn(&[u32], DVec3, f64) -> Option<DVec3>| {
+            Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[between], project)
+        };
+        let found = of(Some([1, 0]), |_, p, _| Some(p.normalize()));
         assert_eq!((found.drawn_back, found.folded()), (3, 0));
         assert!(found.jacobian[0] >= LEAST_JACOBIAN && found.jacobian[0] < 1.0);
-        let straight = Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[false], |p, _| Some(p.normalize()));
+        let straight = of(None, |_, p, _| Some(p.normalize()));
         assert_eq!((straight.on_surface.len(), straight.jacobian[0]), (0, 1.0));
-        let far = Quadratic::new(&points, &[[0, 1, 2, 3]], &[[0, 2, 1]], &[true], |_, _| None);
+        let far = of(Some([1, 0]), |_, _, _| None);
         assert_eq!((far.too_far, far.drawn_back, far.nodes == far.midpoints), (3, 0, true));
+    }
+
+    #[test]
+    fn meetings_list_the_materials_except_at_flat_triangles() {
+        // three materials meet at 0 and 1; the flat triangle has the corners 3, 4 and 5
+        let triangles = [[0, 1, 2], [0, 1, 3], [1, 0, 6], [3, 4, 5]];
+        let found = meetings(&triangles, &[Some([2, 1]), Some([1, 0]), Some([2, 0]), None]);
+        assert_eq!(found, [(0, vec![0, 1, 2]), (1, vec![0, 1, 2]), (2, vec![1, 2]), (6, vec![0, 2])]);
     }
 }

@@ -79,12 +79,7 @@ pub(super) struct Point {
 pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, limit: f64) -> Option<DVec3> {
     let voxel = indicators.voxel();
     let tolerance = ON_SURFACE * voxel;
-    let on = match *stratum.materials() {
-        [i, j] => indicators.project_onto_interface([i, j], start, limit, tolerance),
-        [i, j, k] => indicators.project_onto_curve([i, j, k], start, limit, tolerance),
-        [i, j, k, l] => indicators.project_onto_point([i, j, k, l], start, limit, tolerance),
-        _ => None,
-    };
+    let on = indicators.project_onto(stratum, start, limit, tolerance);
     let equal_there = || {
         let values = stratum.materials().iter().map(|&id| indicators.value_gradient(id, start).0);
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));

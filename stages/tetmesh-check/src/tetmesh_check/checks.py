@@ -61,8 +61,8 @@ _DOUBTS = {
     "euler_characteristic": "the Euler characteristic of the boundary is {value}, that of the surface {limit}{but}",
     "surface_volume": "surface against {base}: the volume changes by {told} (limit {limit:g} %)",
     "nodes_on_surface": (
-        "{value} of {surface_nodes} mid-edge nodes of the surface do not lie on F = 0: {drawn_back} were moved back so "
-        "that no element folds, {too_far} are too far from it"
+        "{value} of {surface_nodes} mid-edge nodes of the surface do not lie on {zero}: {drawn_back} were moved back "
+        "so that no element folds, {too_far} are too far from it"
     ),
 }
 """Messages of the checks whose failure is only a warning."""

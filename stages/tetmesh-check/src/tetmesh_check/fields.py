@@ -10,54 +10,34 @@ have more nodes.
 
 from __future__ import annotations
 
+import json
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pyvista as pv
-from isoparticles._native import GridField
+from isoparticles._native import DistanceField, GridField
 
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import refuse_file
 from tetmesh_check.quality import Points
 from tetmesh_check.surface import Surface, history_of, read_dataset
 
-DISTANCE = "signed_distance"
-"""Point array of a distance field: F at the voxel centres, mm, negative inside."""
 SIZING = "sizing"
 """Point array of a size field: target edge length h, mm."""
 
 
-def _read_field(path: Path, name: str, why: str, advice: str, above: float) -> tuple[pv.ImageData, GridField]:
-    """Read an image whose point array ``name`` has finite values above a number."""
-
-    def refuse(what: str) -> NoReturn:
-        raise StageError(f"{path}: {what}", why, advice)
-
-    image = read_dataset(path)
-    if not isinstance(image, pv.ImageData):
-        refuse(f"holds a {type(image).__name__}, not an image")
-    if name not in image.point_data:
-        refuse(f"has no point array named '{name}' (those present: {', '.join(image.point_data.keys()) or 'none'})")
-    values = np.asarray(image.point_data[name])
-    if min(image.dimensions) < 2 or values.ndim != 1:
-        refuse(f"is a two-dimensional image or has several values per voxel {image.dimensions}")
-    bad = int((~np.isfinite(values) | (values <= above)).sum())
-    if bad:
-        refuse(f"{bad} of {values.size} values are not {'positive and ' if above == 0 else ''}finite")
-    shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
-    axes = np.asarray(image.direction_matrix).T.tolist()
-    return image, GridField(shaped, tuple(image.spacing), image.GetPoint(0), axes)
-
-
-def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
-    """Read the distance field of an object.
+def read_distance_field(path: Path, points: Points, names: list[str]) -> tuple[DistanceField, Any]:
+    """Read the distance field of an object, or of many materials.
 
     Parameters
     ----------
     path
         File of ``distfield``.
     points
-        The object's vertices, world coordinates, mm.
+        The vertices of the surface, world coordinates, mm.
+    names
+        The names of its materials by number; empty for one object.
 
     Returns
     -------
@@ -67,24 +47,19 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     Raises
     ------
     StageError
-        If the file has no such field, is two-dimensional, has values that are not finite, or does
-        not contain the object.
+        If the file has no such field, has other materials, is two-dimensional, has values that are
+        not finite, or does not contain the surface.
     """
-    why = "mid-edge nodes are moved to the zero set of F"
-    advice = "give the file that distfield wrote for this surface"
-    image, field = _read_field(path, DISTANCE, why, advice, -np.inf)
-    step = np.asarray(image.direction_matrix) * image.spacing
-    index = np.linalg.solve(step, (points - image.GetPoint(0)).T).T
-    low, high = index.min(axis=0), index.max(axis=0)
-    # the border of the volume is half a voxel beyond the outermost voxel centres
-    if (low < -0.5).any() or (high > np.array(image.dimensions) - 0.5).any():
-        raise StageError(
-            f"{path}: the surface reaches beyond this field (voxels {low.round(1).tolist()} to {high.round(1).tolist()} of "
-            f"{list(image.dimensions)})",
-            "F is not known there, so they do not belong together",
-            advice,
+    field = DistanceField(path, points)
+    if field.materials != names:
+        own, others = (", ".join(known[1:]) or "one object" for known in (names, field.materials))
+        refuse_file(
+            path,
+            f"is the field of {others}; the surface is that of {own}",
+            "mid-edge nodes are moved onto the interfaces between the materials of the surface",
+            "give the file that distfield wrote for this surface",
         )
-    return field, history_of(image)
+    return field, json.loads(field.history)
 
 
 def read_sizing_field(path: Path) -> tuple[GridField, Any]:
@@ -106,9 +81,26 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
         If the file has no such field, is two-dimensional, or has values that are not positive and
         finite.
     """
-    why = "it holds the target edge lengths of the tetrahedra, mm"
-    image, field = _read_field(path, SIZING, why, "give the file that sizefield wrote", 0.0)
-    return field, history_of(image)
+    refuse = partial(
+        refuse_file,
+        path,
+        why="it holds the target edge lengths of the tetrahedra, mm",
+        remedy="give the file that sizefield wrote",
+    )
+    image = read_dataset(path)
+    if not isinstance(image, pv.ImageData):
+        refuse(f"holds a {type(image).__name__}, not an image")
+    if SIZING not in image.point_data:
+        refuse(f"has no point array named '{SIZING}' (those present: {', '.join(image.point_data.keys()) or 'none'})")
+    values = np.asarray(image.point_data[SIZING])
+    if min(image.dimensions) < 2 or values.ndim != 1:
+        refuse(f"is a two-dimensional image or has several values per voxel {image.dimensions}")
+    bad = int((~np.isfinite(values) | (values <= 0.0)).sum())
+    if bad:
+        refuse(f"{bad} of {values.size} values are not positive and finite")
+    shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
+    axes = np.asarray(image.direction_matrix).T.tolist()
+    return GridField(shaped, tuple(image.spacing), image.GetPoint(0), axes), history_of(image)
 
 
 def uniform_sizing_field(surface: Surface, edge_length: float) -> GridField:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from isoparticles import _native
-from isoparticles._native import Context, GridField
+from isoparticles._native import Context, DistanceField, GridField
 
 from tetmesh_check.arguments import Arguments
 from tetmesh_check.checks import Check, complex_checks, conclude, object_checks, shape_checks, surface_volume_checks
@@ -44,7 +44,7 @@ vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make
 
 def _read(
     arguments: Arguments, context: Context
-) -> tuple[Surface, GridField | None, GridField | None, InputVolume | None]:
+) -> tuple[Surface, GridField | None, DistanceField | None, InputVolume | None]:
     """Read the surface, h, F and the labels; refuse a surface that needs too much memory.
 
     All are in LPS. A surface without a frame is assumed to be in the frame of the field h.
@@ -63,8 +63,9 @@ def _read(
         if surface.space is None and (space := distfield_parameter(history, "space")):
             points = turned(surface.points) if space == "ras" else surface.points
             surface = replace(surface, points=points, space=space)
-    if arguments.order == 2 and arguments.distfield is not None and surface.sides is None:
-        field, history = read_distance_field(arguments.distfield, surface.points)
+    if arguments.order == 2 and arguments.distfield is not None:
+        names = [] if surface.sides is None else surface.sides.names
+        field, history = read_distance_field(arguments.distfield, surface.points, names)
         context.add_input(arguments.distfield, history)
     if arguments.labels_volume is not None:
         labels = read_label_volume(arguments.labels_volume)
@@ -126,18 +127,18 @@ def _task(
 
 
 def _curve(
-    arguments: Arguments, marked: MarkedMesh, field: GridField, context: Context
+    arguments: Arguments, marked: MarkedMesh, field: DistanceField, sides: Sides | None, context: Context
 ) -> tuple[MarkedMesh, list[Check]]:
     """Add a node on each edge, write this mesh, and check it."""
     path = arguments.quadratic
     with context.step("quadratic"):
-        curved = make_quadratic(marked, field)
+        curved = make_quadratic(marked, field, sides)
         write_volume(path, curved.mesh, {"jacobian_bound": curved.jacobian}, context.history())
     found = context.results["quadratic"] = {"file": path.name, **curved.results}
     nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))
     told = (
         f"{found['nodes']:,} nodes, minimum Jacobian {float(curved.jacobian.min()):.2f}; surface nodes are at most "
-        f"{nodes:.2g} mm from F = 0 (edge midpoints: {middles:.2g} mm)"
+        f"{nodes:.2g} mm from {'F = 0' if sides is None else 'their interface'} (edge midpoints: {middles:.2g} mm)"
     )
     context.closing.append(("quadratic", told))
     return curved.mesh, curved.checks
@@ -211,7 +212,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with drawing(arguments, context, many):
         checks = _judge(task, filled, context)
         if field is not None:
-            marked, more = _curve(arguments, marked, field, context)
+            marked, more = _curve(arguments, marked, field, surface.sides, context)
             checks += more
         exported = renumbered(marked, arguments.profile)
         for kind in arguments.exports:

@@ -1,4 +1,4 @@
-"""Quadratic tetrahedra whose surface nodes lie on F = 0.
+"""Quadratic tetrahedra whose surface nodes lie on F = 0, or on the interfaces of many materials.
 
 The Rust code (``common/mesh/src/tetrahedra/quadratic.rs``) places the nodes, and bounds the
 Jacobian of every element.
@@ -10,10 +10,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import GridField
+from isoparticles._native import DistanceField
 
 from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.materials import Sides
 from tetmesh_check.quality import Values, summarize
 from tetmesh_check.regions import SURFACE
 
@@ -31,21 +32,28 @@ class Quadratic(NamedTuple):
     """Verdicts on the elements and nodes."""
 
 
-def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
-    """Add mid-edge nodes: on F = 0 on the surface, at midpoints elsewhere.
+def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None = None) -> Quadratic:
+    """Add mid-edge nodes: where materials meet on their interfaces, at midpoints elsewhere.
 
     Parameters
     ----------
     mesh
-        Linear tetrahedra of one object.
+        Linear tetrahedra.
     field
-        F.
+        F, or the indicators of many materials.
+    sides
+        The materials on both sides of the triangles of ``mesh``; ``None`` for one object, whose
+        surface lies between 1 and 0 and whose caps stay flat.
     """
-    found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, (mesh.marks == SURFACE).astype(np.uint8))
+    curved = (mesh.marks == SURFACE).astype(np.int64)
+    between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, sides.outside)
+    found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, *between)
     count = len(mesh.points)
+    volumes, straight = found["volumes"], found["straight_volumes"]
     results: dict[str, Any] = {
         "nodes": count + len(found["nodes"]),
         "surface_nodes": found["surface_nodes"],
+        "curve_nodes": found["curve_nodes"],
         "not_on_surface": found["drawn_back"] + found["too_far"],
         "drawn_back": found["drawn_back"],
         "too_far": found["too_far"],
@@ -54,17 +62,28 @@ def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
             "middles_of_edges": summarize(found["midpoint_distances"]),
             "mid_edge_nodes": summarize(found["node_distances"]),
         },
-        "volume_mm3": found["volume"],
-        "volume_change_percent": 100.0 * (found["volume"] / found["straight_volume"] - 1.0),
+        "volume_mm3": float(volumes.sum()),
+        "volume_change_percent": 100.0 * float(volumes.sum() / straight.sum() - 1.0),
+        "regions": [
+            {
+                "name": own.name,
+                "volume_mm3": float(volumes[own.members].sum()),
+                "straight_volume_mm3": float(straight[own.members].sum()),
+            }
+            for own in mesh.region_sets
+        ],
         "jacobian": summarize(found["jacobian"], np.linspace(0.0, 1.0, 51)),
         "folded": found["folded"],
     }
-    curved = replace(
+    curved_mesh = replace(
         mesh,
         points=np.concatenate([mesh.points, found["nodes"]]),
         elements=np.column_stack([mesh.tetrahedra, found["of_cells"] + count]),
         faces=np.column_stack([mesh.boundary, found["of_triangles"] + count]),
     )
-    folded = check("quadratic_jacobian", results["folded"])
-    nodes = check("nodes_on_surface", results["not_on_surface"], **results)
-    return Quadratic(curved, found["jacobian"], results, [folded, nodes])
+    zero = "F = 0" if sides is None else "their interface"
+    checks = [
+        check("quadratic_jacobian", results["folded"]),
+        check("nodes_on_surface", results["not_on_surface"], zero=zero, **results),
+    ]
+    return Quadratic(curved_mesh, found["jacobian"], results, checks)
