@@ -18,6 +18,7 @@ import pyvista as pv
 from isoparticles._native import GridField
 
 from tetmesh_check.errors import StageError
+from tetmesh_check.parts.caps import Border, border_of
 from tetmesh_check.quality import Points
 from tetmesh_check.surface import Surface, history_of, read_dataset
 
@@ -87,7 +88,7 @@ def read_distance_field(path: Path, points: Points) -> tuple[GridField, Any]:
     return field, history_of(image)
 
 
-def read_sizing_field(path: Path) -> tuple[GridField, Any]:
+def read_sizing_field(path: Path) -> tuple[GridField, Any, Border | None]:
     """Read a size field.
 
     Parameters
@@ -98,7 +99,7 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
     Returns
     -------
     tuple
-        The edge lengths, mm, and the history in the file.
+        The edge lengths, mm, the history in the file, and the faces of the volume, if known.
 
     Raises
     ------
@@ -108,7 +109,8 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
     """
     why = "it holds the target edge lengths of the tetrahedra, mm"
     image, field = _read_field(path, SIZING, why, "give the file that sizefield wrote", 0.0)
-    return field, history_of(image)
+    history = history_of(image)
+    return field, history, border_of(image, history)
 
 
 def uniform_sizing_field(surface: Surface, edge_length: float) -> GridField:

@@ -15,7 +15,6 @@ from isoparticles._native import GridField
 from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.quality import Values, summarize
-from tetmesh_check.regions import SURFACE
 
 
 class Quadratic(NamedTuple):
@@ -41,7 +40,7 @@ def make_quadratic(mesh: MarkedMesh, field: GridField) -> Quadratic:
     field
         F.
     """
-    found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, (mesh.marks == SURFACE).astype(np.uint8))
+    found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, (~mesh.is_cap).astype(np.uint8))
     count = len(mesh.points)
     results: dict[str, Any] = {
         "nodes": count + len(found["nodes"]),
