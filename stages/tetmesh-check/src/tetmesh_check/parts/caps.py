@@ -71,8 +71,8 @@ def cap_sides(
     outer
         Whether each triangle has the outside in front.
     flags
-        For one object, whether ``reconstruct`` counts each triangle as a cap. A face of the volume
-        without such a triangle is not a cap, but a flat side of the object.
+        For one object, whether ``reconstruct`` counts each triangle as a cap; ``None`` for many
+        materials. A face of the volume without such a triangle is a flat side of the object.
     border
         The faces of the volume. If they are unknown, only ``flags`` count.
     """

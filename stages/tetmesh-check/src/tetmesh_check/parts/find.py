@@ -45,6 +45,8 @@ def _split(rows: list[Part], marks: Labels, own: NDArray[np.bool_], parent: Part
 
 def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list[Part], names: list[str]) -> None:
     """Make a part of each connected cap of a material on a face of the volume, largest first."""
+    if surface.sides is None and surface.cap is None:
+        return
     outer = np.ones(len(marks), dtype=bool) if surface.sides is None else surface.sides.outside == NOTHING
     side = cap_sides(surface.points, surface.triangles, outer, surface.cap, border)
     own = np.flatnonzero(side != NO_SIDE)

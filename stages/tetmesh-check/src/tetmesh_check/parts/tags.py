@@ -33,7 +33,7 @@ def read_tag(text: str) -> Tag:
     Raises ``ValueError`` if it is malformed.
     """
     given, equals, name = text.partition("=")
-    place, _, expression = given.partition("&")
+    place, ampersand, expression = given.partition("&")
     shape, _, listed = place.strip().partition(":")
     if shape not in _FORMS or not equals:
         known = " or ".join(f"{shape}:{form}=NAME" for shape, form in _FORMS.items())
@@ -48,4 +48,10 @@ def read_tag(text: str) -> Tag:
         raise ValueError(f"'{text}': the radius must be above 0")
     if shape == "plane" and not any(numbers[3:]):
         raise ValueError(f"'{text}': the normal must not be 0,0,0")
-    return Tag(check_name(name.strip()), given.strip(), shape, numbers, read_expression(expression or EVERYWHERE))
+    return Tag(
+        check_name(name.strip()),
+        given.strip(),
+        shape,
+        numbers,
+        read_expression(expression if ampersand else EVERYWHERE),
+    )
