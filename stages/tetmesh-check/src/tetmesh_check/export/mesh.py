@@ -23,8 +23,8 @@ SURFACE_NUMBER = 1000
 PARTS = {SURFACE: "surface", CAP: "cap"}
 """Parts of the boundary of one object, by mark."""
 RESERVED = ("volume", "nodes", "all")
-"""Names that no region and no set may have. They are sets of all elements in ``inp``, of all nodes in ``feb``,
-and of everything in the viewer of CalculiX."""
+"""Names that no region and no set may have. They are sets of all elements in ``inp``, of all nodes
+in ``feb``, and of everything in the viewer of CalculiX."""
 _LONGEST_NAME = 80
 """Maximum number of characters in the name of a set in CalculiX and of a group in MED."""
 
@@ -186,7 +186,7 @@ class MarkedMesh:
 
     @property
     def is_cap(self) -> NDArray[np.bool_]:
-        """Whether each triangle lies where the border of the volume cuts the object, shape ``(k,)``."""
+        """Whether each triangle belongs to a cap, shape ``(k,)``."""
         return np.isin(self.marks, sorted(self.caps))
 
     @property

@@ -100,7 +100,7 @@ class Parts:
 
 
 def _same_triangles(surface: Surface, marks: Labels, points: Points, boundary: Cells) -> Labels:
-    """Return the part of each triangle that is also in the surface, and :data:`NO_PART` of others."""
+    """Return the part of each triangle of the surface, and :data:`NO_PART` of other triangles."""
     used, local = np.unique(boundary, return_inverse=True)
     _, ids = np.unique(np.concatenate([surface.points, points[used]]), axis=0, return_inverse=True)
     ids = ids.ravel()
