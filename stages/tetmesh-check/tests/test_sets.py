@@ -141,11 +141,12 @@ def test_med_families_name_parts_and_sets(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.flatnonzero(np.isin(tags, families)), own)
 
 
-def test_gmsh_2_lists_the_groups_of_each_set(tmp_path: Path) -> None:
-    written(tmp_path, "msh2")
+def test_gmsh_files_list_the_parts_of_each_set(tmp_path: Path) -> None:
+    for kind in ("msh", "msh2"):
+        written(tmp_path, kind)
+        assert b"\nset inlet: 12\nset both: 11 12\n" in (tmp_path / f"b.volume.{kind}").read_bytes()
     again = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
     assert sorted(again.field_data) == ["cap", "region_2", "region_5", "surface"]
-    assert "\nset inlet: 12\nset both: 11 12\n" in (tmp_path / "b.volume.msh2").read_text()
 
 
 def test_xdmf_has_tags_and_an_array_for_each_set(tmp_path: Path) -> None:

@@ -30,6 +30,16 @@ def _comment(mesh: MarkedMesh) -> str:
     return f"isoparticles; {mesh.frame}"
 
 
+def _comments(mesh: MarkedMesh, parts: list[NamedSet]) -> str:
+    """Return the comments of a file, with the numbers of the parts of each union."""
+    numbers = {part.number: own.number for part, own in zip(mesh.part_sets, parts, strict=True)}
+    lines = [
+        f"set {name}: {' '.join(str(numbers[mark]) for mark in sorted(marks) if mark in numbers)}"
+        for name, marks in mesh.unions.items()
+    ]
+    return "\n".join([_comment(mesh), *lines])
+
+
 def _numbers(sets: list[NamedSet], size: int) -> Labels:
     """Return the number of the set of each element or triangle."""
     numbers = np.zeros(size, dtype=np.int64)
@@ -118,12 +128,7 @@ def _write_msh2(
     meshio.write(path, made, file_format="gmsh22", binary=binary)
     # some programs skip unknown sections only if they precede the nodes
     header, end, rest = path.read_bytes().partition(b"$EndMeshFormat\n")
-    numbers = {part.number: own.number for part, own in zip(mesh.part_sets, sets_of[1], strict=True)}
-    unions = [
-        f"\nset {name}: {' '.join(str(numbers[mark]) for mark in sorted(marks) if mark in numbers)}"
-        for name, marks in mesh.unions.items()
-    ]
-    comment = f"$Comments\n{_comment(mesh)}{''.join(unions)}\n$EndComments\n".encode()
+    comment = f"$Comments\n{_comments(mesh, sets_of[1])}\n$EndComments\n".encode()
     path.write_bytes(header + end + comment + rest)
 
 
@@ -132,7 +137,8 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
 
     The entities have no bounding entities. Nodes are numbered like the points, from 1. Each one is
     listed with the first entity that uses it. A union is a group of the entities of its parts. Its
-    number is above theirs, because dolfinx keeps the smallest number of a triangle.
+    number is above theirs, because dolfinx keeps only the smallest number of a triangle, and the
+    comments list its parts.
 
     Parameters
     ----------
@@ -168,7 +174,7 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         first += len(cells)
     sections = {
         "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
-        "Comments": [_comment(mesh).encode()],
+        "Comments": [_comments(mesh, parts).encode()],
         "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
         "Entities": entities,
         "Nodes": [pack("<4Q", len(blocks), int((~is_left).sum()), 1, len(mesh.points)), *nodes],
