@@ -84,7 +84,7 @@ pub const KEYS: [Key; 40] = [
     ),
     key(
         "FOR",
-        Form::OneOf(&["simnibs", "brainstorm", "opencarp", "febio", "calculix", "fenicsx"]),
+        Form::OneOf(&["simnibs", "brainstorm", "opencarp", "febio", "calculix", "fenicsx", "simvascular"]),
         "the program for which the tetrahedra are exported",
     ),
     key(

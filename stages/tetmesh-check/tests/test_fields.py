@@ -20,7 +20,7 @@ def linear(world: np.ndarray) -> np.ndarray:
 
 
 def test_trilinear_is_exact_for_a_linear_field_and_clamped_outside(tmp_path: Path) -> None:
-    field, history = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    field, history, _ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
     samples = np.random.default_rng(1).uniform(-12, 12, size=(200, 3))
     np.testing.assert_allclose(field.trilinear(samples), linear(samples), rtol=1e-6)
     np.testing.assert_allclose(field.trilinear(np.array([[40.0, 0, 0]])), linear(np.array([[12.0, 0, 0]])), rtol=1e-6)
@@ -40,7 +40,7 @@ def test_oblique_left_handed_placement(tmp_path: Path) -> None:
     order = np.lexsort(index.T[[0, 1, 2]])  # x fastest
     image["sizing"] = (20 + linear(world[order])).astype(np.float32)
     image.save(tmp_path / "s.vti")
-    field, _ = read_sizing_field(tmp_path / "s.vti")
+    field, *_ = read_sizing_field(tmp_path / "s.vti")
     np.testing.assert_allclose(field.trilinear(world), 20 + linear(world), rtol=1e-6)
 
 
@@ -48,7 +48,7 @@ def test_oblique_left_handed_placement(tmp_path: Path) -> None:
 def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: int) -> None:
     ball(8.0).save(tmp_path / "b.vtp")
     surface = read_surface(tmp_path / "b.vtp")
-    field, _ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    field, *_ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
     points, cells, values, stride = field.background(surface.points, surface.triangles, max_nodes)
     assert len(points) <= max_nodes
     assert (stride == 1) == (max_nodes > 10_000)
@@ -74,7 +74,7 @@ def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: in
 def test_world_grid_covers_the_object(tmp_path: Path, max_nodes: int) -> None:
     ball(8.0).save(tmp_path / "b.vtp")
     surface = read_surface(tmp_path / "b.vtp")
-    field, _ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
+    field, *_ = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
     values, origin, spacing = field.world_grid(surface.points, max_nodes)
     assert values.size <= max_nodes
     assert (spacing == 1.0) == (max_nodes > 10_000)

@@ -80,8 +80,8 @@ def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> Non
     assert all(str(a["href"]).startswith("data:image/webp;base64,") for a in elements.of("image"))
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)|url\(|@import", re.sub(r'id="view-data">[^<]*', "", text))
     titles = [
-        "Checks", "Input", "The mesh in the volume", "In three dimensions", "Quality", "Solve", "Particles", "Stages", "Files",
-        "How this was made",
+        "Checks", "Input", "The mesh in the volume", "In three dimensions", "Parts and sets", "Quality", "Solve", "Particles",
+        "Stages", "Files", "How this was made",
     ]  # fmt: skip
     results = json.loads((case / "a&b.report.json").read_text())["results"]
     if results["pictures"]["drawn"]:
@@ -543,3 +543,18 @@ def test_places_have_the_letters_of_their_frame(case: Path) -> None:
             assert f"World coordinates are in {space.upper()}, mm." in text
     finally:
         (case / "a&b.report.json").write_text(json.dumps(report))
+
+
+def test_parts_and_sets_are_listed(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    found = report["results"]["boundary"]
+    assert [row["name"] for row in found["parts"]] == ["surface"]
+    shown = {"area_mm2": 12.5, "triangles": 7, "centre_mm": [1.0, 2.0, 3.25], "normal": [0.0, 0.0, -1.0]}
+    cap = {"number": 2, "name": "cap_z0_1", "kind": "cap", "between": ["object", "outside"], **shown}
+    found["parts"].append(cap)
+    found["sets"] = [{"name": "inlet", "expression": "'<ear>' & caps", "parts": ["cap_z0_1"], **shown}]
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    words = made(write_status(folder, "a&b"), folder / "x.html").words.replace("\u00a0", " ")
+    assert "cap_z0_1capobject / outside12.57L 1.00, P 2.00, S 3.250.00, 0.00, -1.00" in words
+    assert "inlet'<ear>' & caps112.57" in words

@@ -129,12 +129,12 @@ def test_opencarp_gets_micrometres_and_lists_of_nodes(tmp_path: Path, run: Run) 
     elements = [line.split() for line in (tmp_path / "v.volume.elem").read_text().splitlines()[1:]]
     np.testing.assert_array_equal([[int(n) for n in element[1:5]] for element in elements], cells)
     lists = {}
-    for part in ("surface", "cap"):
+    for part in ("surface", "cap_z1_1"):
         count, domain, *nodes = (tmp_path / f"v.volume.{part}.vtx").read_text().split()
         assert (int(count), domain) == (len(nodes), "extra")
         lists[part] = np.array(nodes, dtype=int)
         np.testing.assert_allclose(np.linalg.norm(points[lists[part]], axis=1), 9.0, atol=0.1)
-    assert points[lists["cap"]][:, 2].min() > 7.0
+    assert points[lists["cap_z1_1"]][:, 2].min() > 7.0
     written = json.loads((tmp_path / "r.json").read_text())["results"]["exports"]
     assert sorted(written) == sorted(path.name for path in tmp_path.glob("v.volume.*") if path.suffix != ".vtu")
     again = run("s.vtp", "-o", "v.volume.vtu", "--export", "carp")

@@ -27,11 +27,11 @@ from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh, plain_names
 from tetmesh_check.materials import Sides, conform
 from tetmesh_check.parsing import FORMATS
+from tetmesh_check.parts.find import find_parts
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
     CAP,
     SURFACE,
-    boundary_marks,
     check_labels,
     meshed_labels,
     regions_of,
@@ -152,8 +152,7 @@ def marked_block(lower: int = 2, upper: int = 5) -> MarkedMesh:
     points, cells = block((3, 2, 4))
     outside = tetrahedron_boundary(cells)
     boundary = outside.triangles
-    surface = Surface(points, boundary, None, 0, (points[boundary][..., 0] == 0.0).all(axis=1))
-    marks = boundary_marks(surface, points, boundary)
+    marks = np.where((points[boundary][..., 0] == 0.0).all(axis=1), CAP, SURFACE)
     regions = np.where(points[cells].mean(axis=1)[:, 2] < 2.0, lower, upper)
     return object_mesh(points, cells, regions, outside, marks)
 
@@ -167,7 +166,9 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "b.boundary.vtp", "b.volume.bdf", "b.volume.boundary.h5", "b.volume.boundary.xdmf", "b.volume.cap.vtx", "b.volume.elem", "b.volume.feb",
         "b.volume.h5", "b.volume.inp", "b.volume.k", "b.volume.lon", "b.volume.med",
-        "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu", "b.volume.msh", "b.volume.msh2",
+        "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh-surfaces.cap.vtp",
+        "b.volume.mesh-complete.mesh-surfaces.surface.vtp", "b.volume.mesh-complete.mesh.vtu",
+        "b.volume.mesh-complete.walls_combined.vtp", "b.volume.msh", "b.volume.msh2",
         "b.volume.pts", "b.volume.regions.csv", "b.volume.surface.vtx", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
@@ -427,7 +428,8 @@ def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
     coarse = len(points) + np.array([[0, 2, 1], [0, 3, 2]])
     triangles = np.concatenate([fine[~on_cap], coarse])
     cap = np.arange(len(triangles)) >= len(triangles) - 2
-    marks = boundary_marks(Surface(np.concatenate([points, corners]), triangles, None, 0, cap), points, fine)
+    surface = Surface(np.concatenate([points, corners]), triangles, None, 0, cap)
+    marks = find_parts(surface).on(surface, points, fine)
     np.testing.assert_array_equal(marks == CAP, on_cap)
 
 
@@ -435,7 +437,8 @@ def test_normals_settle_ties() -> None:
     # a cap and a wall at the same position, with opposite normals
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     surface = Surface(points, np.array([[0, 1, 2], [0, 2, 1]]), None, 0, np.array([True, False]))
-    np.testing.assert_array_equal(boundary_marks(surface, points, np.array([[1, 2, 0], [2, 1, 0]])), [CAP, SURFACE])
+    marks = find_parts(surface).on(surface, points + 1e-9, np.array([[1, 2, 0], [2, 1, 0]]))
+    np.testing.assert_array_equal(marks, [CAP, SURFACE])
 
 
 @NEEDS_HXT
@@ -496,7 +499,8 @@ def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> 
     assert results["regions"]["3"]["volume_mm3"] == pytest.approx(volumes[region == 3].sum())
     assert results["regions"]["3"]["volume_mm3"] == pytest.approx(results["regions"]["3"]["voxels_mm3"], rel=0.1)
     marked = read_surface(tmp_path / "ball.surface.vtp")
-    assert results["boundary"]["cap"]["triangles"] == int(marked.cap.sum()) > 0
+    counts = {part["name"]: part["triangles"] for part in results["boundary"]["parts"]}
+    assert counts["cap_z1_1"] == int(marked.cap.sum()) > 0
     assert set(np.unique(grid.point_data["boundary"])) == {0, SURFACE, CAP}
 
     again = run(*words, "--export", "inp", "--force")

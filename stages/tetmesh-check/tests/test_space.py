@@ -119,8 +119,11 @@ def test_every_file_differs_by_the_signs_of_x_and_y(tmp_path: Path, run: Run) ->
     places = [np.array([row["place_mm"] for row in rows]) for rows in poor]
     assert len(places[0]) > 0
     assert np.array_equal(places[1], places[0] * SIGNS)
-    for key in ("surface", "volume", "volumes", "boundary"):
+    for key in ("surface", "volume", "volumes"):
         assert ras[key] == lps[key]
+    parts = [one["boundary"]["parts"][0] for one in (lps, ras)]
+    assert np.allclose(parts[1]["centre_mm"], parts[0]["centre_mm"] * SIGNS)
+    assert parts[1]["area_mm2"] == pytest.approx(parts[0]["area_mm2"])
 
 
 @NEEDS_HXT

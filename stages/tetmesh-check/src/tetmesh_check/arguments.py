@@ -15,6 +15,8 @@ from tetmesh_check.export.formats import export_paths
 from tetmesh_check.export.profiles import PROFILES
 from tetmesh_check.fem.currents import ForwardArguments, check_names
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
+from tetmesh_check.parts.algebra import Definition
+from tetmesh_check.parts.tags import Tag
 
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
 
@@ -65,6 +67,8 @@ class Arguments:
     """For many materials: conductivities and the source of a current."""
     density: DensityArguments | None = None
     """Density and stiffness of the elements from a scan."""
+    tags: tuple[Tag, ...] = ()
+    sets: tuple[Definition, ...] = ()
 
     @property
     def name(self) -> str:
@@ -92,12 +96,18 @@ class Arguments:
         return [self.output, *quadratic, *self.export_paths(), *pictures]
 
     def refuse(self) -> None:
-        """Refuse outputs other than ``.vtu``, and invalid combinations with ``--order 2``."""
+        """Refuse outputs other than ``.vtu``, and invalid combinations of options."""
         if self.output.suffix != ".vtu":
             raise StageError(
                 f"{self.output}: does not end in .vtu",
                 "the volume mesh is written in the VTK format for unstructured grids",
                 "name the output NAME.volume.vtu",
+            )
+        if (self.tags or self.sets) and self.profile and PROFILES[self.profile].number:
+            raise StageError(
+                f"--tag, --set or --sets with --for {self.profile}",
+                f"{self.profile} expects exactly one surface per tissue, and no other groups",
+                "omit these options, or use --export",
             )
         if self.order == 1:
             return
@@ -152,4 +162,6 @@ class Arguments:
             **({} if self.order == 1 else {"order": self.order}),
             **({} if self.density is None else {"density": self.density.parameters()}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
+            **({} if not self.tags else {"tags": {tag.name: tag.text for tag in self.tags}}),
+            **({} if not self.sets else {"sets": {one.name: one.text for one in self.sets}}),
         }

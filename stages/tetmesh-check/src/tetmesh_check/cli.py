@@ -89,6 +89,7 @@ def main(argv: Sequence[str] | None = None, make_context: type[Context] = Contex
 def _check_options(known: str, words: list[str]) -> None:
     """Refuse what a run would refuse; print what is known about the case for the next stage."""
     parsed = build_parser().parse_args(words)
+    from tetmesh_check.parts.names import check_early
     from tetmesh_check.tets import hxt, tetgen, tetwild
 
     workers = {"ftetwild": tetwild.WORKER, "hxt": hxt.WORKER, "tetgen": tetgen.WORKER}
@@ -103,6 +104,7 @@ def _check_options(known: str, words: list[str]) -> None:
     for option, path in (("--labels-volume", parsed.labels_volume), ("--density", parsed.density)):
         if path is not None and not path.exists():
             raise file_error(path, "read", FileNotFoundError("it is not there"), f"check {option}")
+    check_early(arguments.tags, arguments.sets, materials)
     if materials is not None:
         # the first is the outside
         arguments.check_material_names(materials[1:])
@@ -118,6 +120,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     from tetmesh_check.export.profiles import resolve
     from tetmesh_check.fem.currents import ForwardArguments
     from tetmesh_check.fem.solve import refuse_missing
+    from tetmesh_check.parts.algebra import read_definitions
 
     exports, space, unit = resolve(parsed.profile, parsed.exports, parsed.space, parsed.unit)
     given = {
@@ -128,6 +131,8 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
         "density": density_arguments(vars(parsed)),
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
+        "tags": tuple(parsed.tags),
+        "sets": (*(read_definitions(parsed.sets_file) if parsed.sets_file else ()), *parsed.sets),
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()

@@ -20,6 +20,7 @@ import pyvista as pv
 from isoparticles._native import DistanceField, GridField
 
 from tetmesh_check.errors import refuse_file
+from tetmesh_check.parts.caps import Border, border_of
 from tetmesh_check.quality import Points
 from tetmesh_check.surface import Surface, history_of, read_dataset
 
@@ -62,7 +63,7 @@ def read_distance_field(path: Path, points: Points, names: list[str]) -> tuple[D
     return field, json.loads(field.history)
 
 
-def read_sizing_field(path: Path) -> tuple[GridField, Any]:
+def read_sizing_field(path: Path) -> tuple[GridField, Any, Border | None]:
     """Read a size field.
 
     Parameters
@@ -73,7 +74,7 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
     Returns
     -------
     tuple
-        The edge lengths, mm, and the history in the file.
+        The edge lengths, mm, the history in the file, and the faces of the volume, if known.
 
     Raises
     ------
@@ -100,7 +101,8 @@ def read_sizing_field(path: Path) -> tuple[GridField, Any]:
         refuse(f"{bad} of {values.size} values are not positive and finite")
     shaped = values.astype(np.float32, copy=False).reshape(image.dimensions, order="F")
     axes = np.asarray(image.direction_matrix).T.tolist()
-    return GridField(shaped, tuple(image.spacing), image.GetPoint(0), axes), history_of(image)
+    history = history_of(image)
+    return GridField(shaped, tuple(image.spacing), image.GetPoint(0), axes), history, border_of(image, history)
 
 
 def uniform_sizing_field(surface: Surface, edge_length: float) -> GridField:

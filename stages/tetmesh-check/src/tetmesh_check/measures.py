@@ -13,8 +13,10 @@ from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
 from tetmesh_check.materials import NOTHING, Conformity
+from tetmesh_check.parts.measure import describe_parts
+from tetmesh_check.parts.model import Parts
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
-from tetmesh_check.regions import CAP, boundary_marks, meshed_labels, regions_of, share_outside
+from tetmesh_check.regions import meshed_labels, regions_of, share_outside
 from tetmesh_check.surface import Surface, volume_table
 from tetmesh_check.tets.fill import Filled, Task
 from tetmesh_check.topology import Boundary, tetrahedron_boundary
@@ -133,7 +135,12 @@ def _labels(mesh: VolumeMesh, surface: Surface, labels: InputVolume, context: Co
 
 
 def mark(
-    surface: Surface, mesh: VolumeMesh, found: Conformity | None, labels: InputVolume | None, context: Context
+    surface: Surface,
+    mesh: VolumeMesh,
+    found: Conformity | None,
+    parts: Parts,
+    labels: InputVolume | None,
+    context: Context,
 ) -> MarkedMesh:
     """Find the regions of the tetrahedra and the parts of their boundary, and measure the parts.
 
@@ -143,25 +150,31 @@ def mark(
         The surface, and the tetrahedra that fill it.
     found
         How they fit the interfaces between many materials; ``None`` for one object.
+    parts
+        The parts of the surface.
     labels
         The label volume of one object, if there is one.
     context
         For the results.
     """
-    outside = mesh.boundary
+    outside, marks = mesh.boundary, parts.marks
     if surface.sides is not None and found is not None:
         marked = materials_mesh(mesh.points, mesh.tetrahedra, found, surface.triangles, surface.sides)
-        parts = {"surface": marked.outermost}
     else:
         if labels is None:
             regions, known = np.ones(len(mesh.tetrahedra), dtype=np.int64), meshed_labels(surface.history) or []
         else:
             regions, known = _labels(mesh, surface, labels, context), None
-        marks = boundary_marks(surface, mesh.points, outside.triangles)
+        marks = parts.on(surface, mesh.points, outside.triangles)
         marked = object_mesh(mesh.points, mesh.tetrahedra, regions, outside, marks, known)
-        parts = {"surface": marks != CAP, "cap": marks == CAP}
-    areas = triangle_quality(marked.points, marked.boundary).area
-    context.results["boundary"] = {
-        name: {"triangles": int(own.sum()), "area_mm2": float(areas[own].sum())} for name, own in parts.items()
-    }
-    return replace(marked, space=surface.space)
+    marked = replace(
+        marked,
+        marks=marks,
+        parts={part.number: part.name for part in parts.rows},
+        caps=frozenset(part.number for part in parts.rows if part.is_cap),
+        unions={union.name: union.members for union in parts.unions},
+        space=surface.space,
+    )
+    with context.step("measure parts"):
+        context.results["boundary"] = describe_parts(parts, marked)
+    return marked

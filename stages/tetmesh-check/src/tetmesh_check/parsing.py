@@ -17,6 +17,8 @@ from isoparticles._native import VERSION, number_of_bytes
 
 from tetmesh_check.density.laws import read_calibration, read_law
 from tetmesh_check.errors import StageError, close
+from tetmesh_check.parts.algebra import read_definition
+from tetmesh_check.parts.tags import read_tag
 
 FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """Formats of ``--export``."""
@@ -130,6 +132,18 @@ def _source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
     return name, (x, y, z)
 
 
+def _told(read: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return a reader that reports what is wrong with a value."""
+
+    def told(text: str) -> Any:
+        try:
+            return read(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return told
+
+
 _READERS: dict[str, Callable[[str], Any]] = {
     "path": Path,
     "int": int,
@@ -139,4 +153,6 @@ _READERS: dict[str, Callable[[str], Any]] = {
     "source_of_current": _source_of_current,
     "calibration": read_calibration,
     "law": read_law,
+    "tag": _told(read_tag),
+    "set": _told(read_definition),
 }

@@ -13,7 +13,7 @@ from tetmesh_check.checks import Check, complex_checks, conclude, object_checks,
 from tetmesh_check.density.mapping import map_density, read_density
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
-from tetmesh_check.export.mesh import PARTS, MarkedMesh, interface_names
+from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.profiles import renumbered
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.currents import Forward
@@ -22,6 +22,9 @@ from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform
 from tetmesh_check.forced import find_forced
 from tetmesh_check.materials import Sides
 from tetmesh_check.measures import mark, measure
+from tetmesh_check.parts.caps import Border
+from tetmesh_check.parts.find import find_parts
+from tetmesh_check.parts.model import Parts
 from tetmesh_check.quadratic import make_quadratic
 from tetmesh_check.quality import Values, summarize, triangle_quality
 from tetmesh_check.regions import check_labels, distfield_parameter, has_scale, meshed_labels
@@ -44,8 +47,10 @@ vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make
 
 def _read(
     arguments: Arguments, context: Context
-) -> tuple[Surface, GridField | None, DistanceField | None, InputVolume | None]:
-    """Read the surface, h, F and the labels; refuse a surface that needs too much memory.
+) -> tuple[Surface, GridField | None, DistanceField | None, InputVolume | None, Border | None]:
+    """Read the surface, h, F, the labels and the faces of the volume.
+
+    A surface that needs too much memory is refused.
 
     All are in LPS. A surface without a frame is assumed to be in the frame of the field h.
     """
@@ -56,9 +61,9 @@ def _read(
         f"{arguments.surface}: tetrahedra for {len(surface.points):,} vertices",
         "make a coarser surface (sizefield --min-size, --quality coarse)",
     )
-    sizing = field = labels = None
+    sizing = field = labels = border = None
     if arguments.sizefield is not None:
-        sizing, history = read_sizing_field(arguments.sizefield)
+        sizing, history, border = read_sizing_field(arguments.sizefield)
         context.add_input(arguments.sizefield, history)
         if surface.space is None and (space := distfield_parameter(history, "space")):
             points = turned(surface.points) if space == "ras" else surface.points
@@ -72,17 +77,20 @@ def _read(
         context.add_input(arguments.labels_volume, None)
     space = output_space(arguments.space, surface.space, distfield_parameter(surface.history, "file_space"))
     context.parameters["space"] = space
-    return replace(surface, space=space), sizing, field, labels
+    return replace(surface, space=space), sizing, field, labels, border
 
 
-def _refuse(arguments: Arguments, sides: Sides | None, context: Context) -> None:
-    """Refuse options that do not suit the materials, and existing outputs."""
+def _parts(arguments: Arguments, surface: Surface, border: Border | None, context: Context) -> Parts:
+    """Find the parts of the surface; refuse what does not suit them, and existing outputs."""
+    sides = surface.sides
     names = [] if sides is None else [sides.names[number] for number in sides.present]
     arguments.check_material_names(names)
-    parts = PARTS.values() if sides is None else interface_names(sides)
-    context.check_outputs(arguments.export_paths(sides is not None, parts))
     if sides is not None:
         arguments.refuse_for_materials()
+    with context.step("find parts"):
+        parts = find_parts(surface, border, arguments.tags, arguments.sets)
+    context.check_outputs(arguments.export_paths(sides is not None, parts.set_names))
+    return parts
 
 
 def _edge_lengths(surface: Surface, sizing: GridField | None, context: Context) -> tuple[GridField, Values]:
@@ -191,9 +199,9 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     """
     _native.set_threads(context.threads)
     with context.step("read"):
-        surface, sizing, field, labels = _read(arguments, context)
+        surface, sizing, field, labels, border = _read(arguments, context)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
-    _refuse(arguments, surface.sides, context)
+    parts = _parts(arguments, surface, border, context)
     scan = None
     if arguments.density is not None:
         with context.step("read density"):
@@ -201,7 +209,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     task = _task(arguments, surface, sizing, labels, context)
     filled = fill(task, context)
     mesh = measure(task, filled, context)
-    marked = mark(task.surface, mesh, filled.conformity, labels, context)
+    marked = mark(task.surface, mesh, filled.conformity, parts, labels, context)
     if scan is not None:
         with context.step("map density"):
             marked = map_density(scan, marked, mesh.volumes, context)
@@ -218,7 +226,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         for kind in arguments.exports:
             with context.step(f"export {kind}"):
                 export(exported, arguments.output, arguments.name, kind, arguments.unit)
-        written = arguments.export_paths(many, [own.name for own in exported.part_sets])
+        written = arguments.export_paths(many, [own.name for own in exported.named_sets])
         context.results["exports"] = [path.name for path in written]
         checks += solve_on(mesh, arguments.solve, arguments.solve_seconds, context, _currents(task, filled))
     return conclude(checks, filled.quality, context)

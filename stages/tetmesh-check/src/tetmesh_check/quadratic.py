@@ -16,7 +16,6 @@ from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.materials import Sides
 from tetmesh_check.quality import Values, summarize
-from tetmesh_check.regions import SURFACE
 
 
 class Quadratic(NamedTuple):
@@ -45,7 +44,7 @@ def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None =
         The materials on both sides of the triangles of ``mesh``; ``None`` for one object, whose
         surface lies between 1 and 0 and whose caps stay flat.
     """
-    curved = (mesh.marks == SURFACE).astype(np.int64)
+    curved = (~mesh.is_cap).astype(np.int64)
     between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, sides.outside)
     found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, *between)
     count = len(mesh.points)

@@ -1,4 +1,4 @@
-"""Finds the tissue of each tetrahedron, and the part of the boundary of each triangle."""
+"""Finds the tissue of each tetrahedron, and parameters in histories."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from isoparticles import _native
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.quality import Cells, Labels, Points
-from tetmesh_check.surface import Surface
+from tetmesh_check.quality import Labels, Points
 from tetmesh_check.volumes import InputVolume
 
 SURFACE, CAP = 1, 2
@@ -119,21 +118,3 @@ def regions_of(centres: Points, volume: InputVolume, wanted: list[int] | None) -
     """
     labels = volume.values.astype(np.int32, copy=False)
     return _native.labels_at(labels, volume.step.T.tolist(), tuple(volume.origin), centres, wanted)
-
-
-def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
-    """Return :data:`SURFACE` or :data:`CAP` for each triangle of the boundary.
-
-    Parameters
-    ----------
-    surface
-        The input, with its own marks.
-    points, boundary
-        The boundary of the tetrahedra. Each triangle gets the mark of the input triangle nearest to
-        its centroid. If a cap and a surface triangle are equally near, the one with the more
-        similar normal counts.
-    """
-    if surface.cap is None:
-        return np.full(len(boundary), SURFACE)
-    flags = surface.cap.astype(np.uint8)
-    return np.where(_native.nearest_flags(points, boundary, surface.points, surface.triangles, flags), CAP, SURFACE)

@@ -48,7 +48,7 @@ def cards_of(mesh: MarkedMesh, own: Labels, values: tuple[Values, Values, Values
             )
             name = f"{region.name}_E{number + 1}"
             found.append(Card(region.number, name, own[chosen], mean_modulus, max(mean_density, MIN_DENSITY)))
-    taken = [own.name for own in (*mesh.region_sets, *mesh.part_sets)]
+    taken = [own.name for own in (*mesh.region_sets, *mesh.named_sets)]
     names = plain_names([card.name for card in found], taken)
     return [card._replace(name=name) for card, name in zip(found, names, strict=True)]
 

@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tetmesh_check.export.cards import in_units
 from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2, write_simnibs
 from tetmesh_check.export.mesh import MarkedMesh, numbered_sets
-from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_boundary, write_simvascular_volume
+from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_faces, write_simvascular_volume
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Labels, Points
 
@@ -89,18 +89,26 @@ def _texts(*templates: str) -> dict[str, Writer]:
 
 
 def _nodes(mesh: MarkedMesh, path: Path, part: str) -> None:
-    """Write the nodes of a part of the boundary for openCARP, numbered from 0 as in ``.pts``."""
-    mark = next(mark for mark, name in mesh.parts.items() if name == part)
-    _text(mesh, path, "nodes.vtx", nodes=np.unique(mesh.faces[mesh.marks == mark]))
+    """Write the nodes of a part or union for openCARP, numbered from 0 as in ``.pts``."""
+    own = next(own for own in mesh.named_sets if own.name == part)
+    _text(mesh, path, "nodes.vtx", nodes=np.unique(mesh.faces[own.members]))
+
+
+def _face(mesh: MarkedMesh, path: Path, part: str) -> None:
+    """Write a part or union for SimVascular."""
+    own = next(own for own in mesh.named_sets if own.name == part)
+    write_simvascular_faces(mesh, path, own.members)
 
 
 def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
     """Return the arrays of an XDMF file by name.
 
-    The boundary uses the points of the volume: FEniCS reads the triangles as tags of facets.
+    The boundary uses the points of the volume: FEniCS reads the triangles as tags of facets. For
+    each union, there is an array that is 1 on its triangles.
     """
     if stem != "volume":
-        return {"triangles": mesh.faces, "mark" if mesh.materials is None else "pair": mesh.marks}
+        flags = {name: np.isin(mesh.marks, sorted(marks)).astype(np.int64) for name, marks in mesh.unions.items()}
+        return {"triangles": mesh.faces, "mark" if mesh.materials is None else "pair": mesh.marks, **flags}
     return {"points": mesh.points, "elements": mesh.elements, "region": mesh.regions, "boundary": mesh.point_marks()}
 
 
@@ -127,11 +135,14 @@ _WRITE: dict[str, dict[str, Writer]] = {
     "carp": _texts("volume.pts", "volume.elem", "volume.lon"),
     "simvascular": {
         "volume.mesh-complete.mesh.vtu": write_simvascular_volume,
-        "volume.mesh-complete.exterior.vtp": write_simvascular_boundary,
+        "volume.mesh-complete.exterior.vtp": lambda mesh, path: write_simvascular_faces(mesh, path, mesh.outermost),
+        "volume.mesh-complete.walls_combined.vtp": lambda mesh, path: write_simvascular_faces(
+            mesh, path, mesh.outermost & ~mesh.is_cap
+        ),
     },
 }
 """For each format, the files (without ``NAME.``) and the functions that write them. :func:`_files`
-adds XDMF, the node lists of openCARP and the table of regions. ``pipelines/case/src/folder.rs``
+adds XDMF, the files of parts and unions and the table of regions. ``pipelines/case/src/folder.rs``
 recognizes the results of this stage by the beginnings ``volume`` and ``boundary``."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
@@ -141,6 +152,9 @@ def _files(name: str, kind: str, many: bool, parts: Iterable[str]) -> dict[str, 
     written = dict(_WRITE.get(kind, {}))
     if kind == "carp":
         written.update({f"volume.{part}.vtx": partial(_nodes, part=part) for part in parts})
+    if kind == "simvascular":
+        faces = {f"volume.mesh-complete.mesh-surfaces.{part}.vtp": partial(_face, part=part) for part in parts}
+        written.update(faces)
     if kind == "xdmf":
         for stem in ("volume", f"volume.{'interfaces' if many else 'boundary'}"):
             # FEniCS opens the HDF5 file that has the name of the XDMF file
@@ -165,7 +179,7 @@ def export_paths(
     many
         Whether there are many materials.
     parts
-        Names of the parts of the boundary, or of the interfaces, if known.
+        Names of the parts and unions, if known.
     """
     endings = dict.fromkeys(ending for kind in kinds for ending in _files(name, kind, many, parts))
     return [output.with_name(f"{name}.{ending}") for ending in endings]
@@ -189,6 +203,6 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
     """
     unit = "um" if kind == "carp" else unit
     scaled = in_units(replace(mesh, points=mesh.shown * _PER_MM[unit]), unit)
-    parts = [own.name for own in mesh.part_sets]
+    parts = [own.name for own in mesh.named_sets]
     for ending, write in _files(name, kind, mesh.materials is not None, parts).items():
         write_atomically(output.with_name(f"{name}.{ending}"), partial(write, scaled))

@@ -30,6 +30,16 @@ def _comment(mesh: MarkedMesh) -> str:
     return f"isoparticles; {mesh.frame}"
 
 
+def _comments(mesh: MarkedMesh, parts: list[NamedSet]) -> str:
+    """Return the comments of a file, with the numbers of the parts of each union."""
+    numbers = {part.number: own.number for part, own in zip(mesh.part_sets, parts, strict=True)}
+    lines = [
+        f"set {name}: {' '.join(str(numbers[mark]) for mark in sorted(marks) if mark in numbers)}"
+        for name, marks in mesh.unions.items()
+    ]
+    return "\n".join([_comment(mesh), *lines])
+
+
 def _numbers(sets: list[NamedSet], size: int) -> Labels:
     """Return the number of the set of each element or triangle."""
     numbers = np.zeros(size, dtype=np.int64)
@@ -63,9 +73,12 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     regions, parts = (
         [own._replace(number=next(families)) for own in sets] for sets in (mesh.region_sets, mesh.part_sets)
     )
+    groups = {own.number: [own.name] for own in regions}
+    for part, own in zip(mesh.part_sets, parts, strict=True):
+        groups[own.number] = [part.name, *mesh.unions_of(part.number)]
     elements = mesh.elements[:, _MED_NODES[: mesh.elements.shape[1]]]
     made = _meshio(mesh, elements, regions, parts, ["cell_tags"])
-    made.cell_tags = {own.number: [own.name] for own in (*regions, *parts)}
+    made.cell_tags = groups
     # meshio would otherwise choose the format by the name of the file
     meshio.write(path, made, file_format="med")
     with h5py.File(path, "r+") as file:
@@ -82,7 +95,7 @@ def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = numbered_sets(mesh)
+    regions, parts, _ = numbered_sets(mesh)
     cells = [("triangle", mesh.faces), ("tetra", mesh.elements)]
     numbers = [_numbers(parts, len(mesh.faces)), _numbers(regions, len(mesh.elements))]
     made = meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(("gmsh:physical", "gmsh:geometrical"), numbers))
@@ -92,6 +105,8 @@ def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """Write version 2.2, as text. More programs read it than 4.1.
 
+    An element has only one group there, so the comments list the groups of each union.
+
     Parameters
     ----------
     mesh
@@ -99,7 +114,7 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = numbered_sets(mesh)
+    regions, parts, _ = numbered_sets(mesh)
     made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
     _write_msh2(mesh, made, (regions, parts), path, binary=False)
 
@@ -113,7 +128,7 @@ def _write_msh2(
     meshio.write(path, made, file_format="gmsh22", binary=binary)
     # some programs skip unknown sections only if they precede the nodes
     header, end, rest = path.read_bytes().partition(b"$EndMeshFormat\n")
-    comment = f"$Comments\n{_comment(mesh)}\n$EndComments\n".encode()
+    comment = f"$Comments\n{_comments(mesh, sets_of[1])}\n$EndComments\n".encode()
     path.write_bytes(header + end + comment + rest)
 
 
@@ -121,7 +136,9 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     """Write version 4.1, binary: an entity and a group for each region and boundary part.
 
     The entities have no bounding entities. Nodes are numbered like the points, from 1. Each one is
-    listed with the first entity that uses it.
+    listed with the first entity that uses it. A union is a group of the entities of its parts. Its
+    number is above theirs, because dolfinx keeps only the smallest number of a triangle, and the
+    comments list its parts.
 
     Parameters
     ----------
@@ -130,20 +147,25 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts = numbered_sets(mesh)
+    regions, parts, unions = numbered_sets(mesh)
     elements = mesh.elements[:, _GMSH_NODES[: mesh.elements.shape[1]]]
     blocks = [(2, own, mesh.faces[own.members]) for own in parts]
     blocks += [(3, own, elements[own.members]) for own in regions]
     names = [f'{dimension} {own.number} "{own.name}"' for dimension, own, _ in blocks]
+    names += [f'2 {own.number} "{own.name}"' for own in unions]
+    number_of = {own.name: own.number for own in unions}
+    more = [[number_of[name] for name in mesh.unions_of(part.number)] for part in mesh.part_sets]
+    more += [[] for _ in regions]
     entities = [pack("<4Q", 0, 0, len(parts), len(regions))]
     nodes: list[bytes] = []
     cells_of: list[bytes] = []
     is_left, first = np.ones(len(mesh.points), dtype=bool), 1
-    for dimension, own, cells in blocks:
+    for (dimension, own, cells), further in zip(blocks, more, strict=True):
         used = np.unique(cells)
         corners = mesh.points[used]
         box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
-        entities.append(pack("<i6dQiQ", own.number, *box, 1, own.number, 0))
+        groups = [own.number, *further]
+        entities.append(pack(f"<i6dQ{len(groups)}iQ", own.number, *box, len(groups), *groups, 0))
         used = used[is_left[used]]
         is_left[used] = False
         nodes += [pack("<3iQ", dimension, own.number, 0, len(used)), _whole(used + 1), mesh.points[used].tobytes()]
@@ -152,7 +174,7 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         first += len(cells)
     sections = {
         "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
-        "Comments": [_comment(mesh).encode()],
+        "Comments": [_comments(mesh, parts).encode()],
         "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
         "Entities": entities,
         "Nodes": [pack("<4Q", len(blocks), int((~is_left).sum()), 1, len(mesh.points)), *nodes],

@@ -22,9 +22,9 @@ SURFACE_NUMBER = 1000
 """SimNIBS adds this number to that of a tissue for its surface."""
 PARTS = {SURFACE: "surface", CAP: "cap"}
 """Parts of the boundary of one object, by mark."""
-_RESERVED = ("volume", "nodes", "all")
-"""Names that no region may have. They are sets of all elements in ``inp``, of all nodes in ``feb``,
-and of everything in the viewer of CalculiX."""
+RESERVED = ("volume", "nodes", "all")
+"""Names that no region and no set may have. They are sets of all elements in ``inp``, of all nodes
+in ``feb``, and of everything in the viewer of CalculiX."""
 _LONGEST_NAME = 80
 """Maximum number of characters in the name of a set in CalculiX and of a group in MED."""
 
@@ -39,7 +39,7 @@ def plain_names(names: list[str], taken: Iterable[str] = ()) -> list[str]:
     taken
         Names that are not available, besides those that formats reserve.
     """
-    used = {name.lower() for name in (*_RESERVED, *taken)}
+    used = {name.lower() for name in (*RESERVED, *taken)}
     plain: list[str] = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") or "material"
@@ -101,13 +101,16 @@ class MarkedMesh:
     before: Labels
     """Tetrahedron in front of each triangle, shape ``(k,)``; :data:`.NOBODY` for the outside."""
     marks: Labels
-    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. With many materials, the number of the
-    interface, from 1."""
+    """Number of the part of each triangle, from 1, shape ``(k,)``."""
     table: list[dict[str, Any]]
     """A row for each region, ascending by number: ``region`` (the number), ``name`` (in sets and
     groups), ``material`` (its name in the volume), and ``labels`` (in the volume, if known)."""
     parts: dict[int, str]
     """Names of the parts of the boundary, or of the interfaces, by mark."""
+    caps: frozenset[int] = frozenset()
+    """Marks of the parts where the border of the volume cuts the object."""
+    unions: dict[str, frozenset[int]] = field(default_factory=dict)
+    """Marks of the parts of each further set, by name."""
     materials: list[dict[str, Any]] | None = None
     """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
     space: str | None = None
@@ -159,6 +162,34 @@ class MarkedMesh:
         return _sets(self.marks, self.parts)
 
     @property
+    def union_sets(self) -> list[NamedSet]:
+        """The triangles of each union of parts that is not empty, numbered after the parts."""
+        last = max(self.parts, default=0)
+        members = [np.flatnonzero(np.isin(self.marks, sorted(marks))) for marks in self.unions.values()]
+        named = zip(self.unions, members, strict=True)
+        return [NamedSet(last + number, name, own) for number, (name, own) in enumerate(named, 1) if len(own)]
+
+    @property
+    def named_sets(self) -> list[NamedSet]:
+        """The triangles of each part and of each union."""
+        return self.part_sets + self.union_sets
+
+    def unions_of(self, mark: int) -> list[str]:
+        """Return the names of the unions that contain a part.
+
+        Parameters
+        ----------
+        mark
+            The mark of the part.
+        """
+        return [name for name, marks in self.unions.items() if mark in marks]
+
+    @property
+    def is_cap(self) -> NDArray[np.bool_]:
+        """Whether each triangle belongs to a cap, shape ``(k,)``."""
+        return np.isin(self.marks, sorted(self.caps))
+
+    @property
     def outermost(self) -> NDArray[np.bool_]:
         """Whether each triangle lies on the boundary of the whole mesh, shape ``(k,)``."""
         alone: NDArray[np.bool_] = self.before == NOBODY
@@ -171,23 +202,23 @@ class MarkedMesh:
     def point_marks(self) -> Labels:
         """Return the mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
 
-        A point with triangles of both marks has :data:`.SURFACE`. With many materials, all points
-        on the boundary of the whole mesh have it.
+        The mark is :data:`.CAP` on caps and :data:`.SURFACE` on the rest of the boundary of the
+        whole mesh. A point with triangles of both has :data:`.SURFACE`.
         """
         marks = np.zeros(len(self.points), dtype=np.int64)
-        is_cap = (self.marks == CAP) if self.materials is None else np.zeros(len(self.marks), dtype=bool)
+        is_cap = self.is_cap
         marks[self.faces[is_cap]] = CAP
         marks[self.faces[self.outermost & ~is_cap]] = SURFACE
         return marks
 
 
-def numbered_sets(mesh: MarkedMesh, largest: int = 2**31 - 1) -> tuple[list[NamedSet], list[NamedSet]]:
-    """Return the regions and the parts of the boundary with unique, positive numbers.
+def numbered_sets(mesh: MarkedMesh, largest: int = 2**31 - 1) -> tuple[list[NamedSet], list[NamedSet], list[NamedSet]]:
+    """Return the regions, the parts of the boundary and the unions with unique, positive numbers.
 
     A region with a number below 1 or above ``largest`` gets a number above those of the other
     regions: Gmsh, LS-DYNA and Nastran require positive ones. GetDP groups and Nastran properties
     need different numbers for regions and surfaces. So the number of a part is its mark plus the
-    first power of ten above all regions: with only region 1, ``surface`` is 11 and ``cap`` is 12.
+    first power of ten above all regions: with only region 1, ``surface`` is 11. Unions follow.
     Marks above :data:`SURFACE_NUMBER` are kept.
     """
     regions, parts = mesh.region_sets, mesh.part_sets
@@ -196,7 +227,8 @@ def numbered_sets(mesh: MarkedMesh, largest: int = 2**31 - 1) -> tuple[list[Name
     regions = [own if own.number in kept else own._replace(number=next(free)) for own in regions]
     last = max((own.number for own in regions), default=0)
     above = 0 if all(own.number > SURFACE_NUMBER for own in parts) else 10 ** len(str(last))
-    return regions, [own._replace(number=above + own.number) for own in parts]
+    parts, unions = ([own._replace(number=above + own.number) for own in sets] for sets in (parts, mesh.union_sets))
+    return regions, parts, unions
 
 
 def object_mesh(
@@ -229,7 +261,9 @@ def object_mesh(
         for number, name in zip(numbers, names, strict=True)
     ]
     before = np.full(len(marks), NOBODY)
-    return MarkedMesh(points, tetrahedra, regions, boundary.triangles, boundary.owners, before, marks, table, PARTS)
+    return MarkedMesh(
+        points, tetrahedra, regions, boundary.triangles, boundary.owners, before, marks, table, PARTS, frozenset([CAP])
+    )
 
 
 def interface_names(sides: Sides) -> list[str]:
@@ -265,5 +299,6 @@ def materials_mesh(points: Points, tetrahedra: Cells, found: Conformity, triangl
     ]
     parts = dict(enumerate(interface_names(sides), 1))
     return MarkedMesh(
-        points, tetrahedra, found.regions, triangles, found.behind, found.before, which + 1, table, parts, sides.table
-    )
+        points, tetrahedra, found.regions, triangles, found.behind, found.before, which + 1, table, parts,
+        materials=sides.table,
+    )  # fmt: skip

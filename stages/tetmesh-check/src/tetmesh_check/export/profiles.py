@@ -87,6 +87,7 @@ PROFILES = {
     "febio": Profile(("feb",), "mm"),
     "calculix": Profile(("inp",)),
     "fenicsx": Profile(("msh",)),
+    "simvascular": Profile(("simvascular",)),
 }
 """The programs of ``--for``."""
 
@@ -152,6 +153,7 @@ def renumbered(mesh: MarkedMesh, profile: str | None) -> MarkedMesh:
         before=np.where(is_flipped, mesh.owners, mesh.before),
         marks=marks,
         table=sorted(({**row, "region": new_of[row["region"]]} for row in mesh.table), key=itemgetter("region")),
+        caps=frozenset(),
         parts={SURFACE_NUMBER + own: f"{names[own]}_surface" for own in sorted(names)},
     )
 

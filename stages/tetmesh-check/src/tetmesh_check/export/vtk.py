@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
@@ -36,7 +37,7 @@ def _grid(mesh: MarkedMesh, points: Points) -> pv.UnstructuredGrid:
     return grid
 
 
-def _surface(mesh: MarkedMesh, triangles: Labels | slice) -> tuple[pv.PolyData, Labels]:
+def _surface(mesh: MarkedMesh, triangles: Labels | NDArray[np.bool_] | slice) -> tuple[pv.PolyData, Labels]:
     """Return triangles of the boundary, and the indices of their points in the mesh."""
     used, local = np.unique(mesh.boundary[triangles], return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
@@ -88,10 +89,16 @@ def _save(writer: Any, grid: pv.UnstructuredGrid, path: Path) -> None:
 
 
 def write_legacy(mesh: MarkedMesh, path: Path) -> None:
-    """Write legacy VTK 4.2, binary, with cell data ``region`` and point data ``boundary``."""
+    """Write legacy VTK 4.2, binary, with cell data ``region`` and point data ``boundary``.
+
+    For each union, there is a point array that is 1 on its triangles.
+    """
     grid = _grid(mesh, mesh.points)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
+    for own in mesh.union_sets:
+        grid.point_data[own.name] = np.zeros(len(mesh.points), dtype=np.int32)
+        grid.point_data[own.name][mesh.faces[own.members]] = 1
     add_text(grid, "regions", mesh.region_text())
     writer = vtkUnstructuredGridWriter()
     writer.SetFileVersion(42)
@@ -109,13 +116,15 @@ def write_simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
     grid.save(path)
 
 
-def write_simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
-    """Write SimVascular's exterior.vtp: boundary part and element of each triangle."""
-    shown = np.flatnonzero(mesh.outermost)
-    surface, used = _surface(mesh, shown)
+def write_simvascular_faces(mesh: MarkedMesh, path: Path, triangles: Labels | NDArray[np.bool_]) -> None:
+    """Write triangles as SimVascular does: with part (face), region, element and node numbers."""
+    surface, used = _surface(mesh, triangles)
+    owners = mesh.owners[triangles]
     surface.point_data["GlobalNodeID"] = (used + 1).astype(np.int32)
-    surface.cell_data["GlobalElementID"] = (mesh.owners[shown] + 1).astype(np.int32)
-    surface.cell_data["ModelFaceID"] = mesh.marks[shown].astype(np.int32)
+    surface.cell_data["GlobalElementID"] = (owners + 1).astype(np.int32)
+    surface.cell_data["ModelFaceID"] = mesh.marks[triangles].astype(np.int32)
+    surface.cell_data["ModelRegionID"] = mesh.regions[owners].astype(np.int32)
+    add_text(surface, "parts", json.dumps(mesh.parts))
     surface.save(path)
 
 
@@ -123,7 +132,8 @@ def write_boundary(mesh: MarkedMesh, path: Path) -> None:
     """Write the boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` and ``point``.
 
     With many materials, all interfaces are written: ``region`` is the material behind the triangle,
-    and ``region_before`` that in front of it.
+    and ``region_before`` that in front of it. For each union, there is an array that is 1 on its
+    triangles. The text ``parts`` names the marks.
     """
     surface, used = _surface(mesh, slice(None))
     surface.cell_data["mark"] = mesh.marks
@@ -132,6 +142,9 @@ def write_boundary(mesh: MarkedMesh, path: Path) -> None:
     if mesh.materials is not None:
         surface.cell_data["region_before"] = np.where(mesh.outermost, NOTHING, mesh.regions[mesh.before])
         add_text(surface, "materials", json.dumps(mesh.materials))
+    for name, marks in mesh.unions.items():
+        surface.cell_data[name] = np.isin(mesh.marks, sorted(marks)).astype(np.uint8)
     surface.point_data["point"] = used
+    add_text(surface, "parts", json.dumps(mesh.parts))
     add_text(surface, "regions", mesh.region_text())
     surface.save(path)

@@ -27,7 +27,7 @@ from tetmesh_check.surface import read_dataset
 TOOL = "tetmesh-check-page"
 _SECTIONS = (
     "what went wrong", "checks", "places", "volumes", "the mesh in the volume",
-    "in three dimensions", "pictures", "materials", "density", "quality", "solve", "particles", "stages",
+    "in three dimensions", "pictures", "materials", "parts and sets", "density", "quality", "solve", "particles", "stages",
     "files", "how this was made", "methods",
 )  # fmt: skip
 """The sections in order. The names of their templates have ``_`` instead of spaces."""

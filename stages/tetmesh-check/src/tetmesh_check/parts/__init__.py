@@ -1,0 +1,1 @@
+"""Named parts of the boundary and of the interfaces, and named sets of parts."""

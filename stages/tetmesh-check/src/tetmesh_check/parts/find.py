@@ -1,0 +1,156 @@
+"""Finds the parts and the sets of a surface, before it is filled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetmesh_check.errors import StageError
+from tetmesh_check.export.mesh import PARTS, interface_names, plain_names
+from tetmesh_check.materials import NOTHING
+from tetmesh_check.parts.algebra import Definition
+from tetmesh_check.parts.caps import NO_SIDE, SIDES, Border, cap_sides, connected
+from tetmesh_check.parts.model import NamedUnion, Part, Parts
+from tetmesh_check.parts.names import OBJECT_NAMES, WHY, Finder, refuse_taken, told
+from tetmesh_check.parts.tags import Tag
+from tetmesh_check.quality import Labels, Points, triangle_quality
+from tetmesh_check.regions import SURFACE
+from tetmesh_check.surface import Surface
+
+
+def _interfaces(surface: Surface) -> tuple[Labels, list[Part], list[str]]:
+    """Return the interface of each triangle, the interfaces, and the names of the materials."""
+    sides = surface.sides
+    if sides is None:
+        marks = np.full(len(surface.triangles), SURFACE)
+        return marks, [Part(SURFACE, PARTS[SURFACE], 1, NOTHING)], list(OBJECT_NAMES)
+    pairs, which = sides.pairs()
+    named = zip(pairs.tolist(), interface_names(sides), strict=True)
+    rows = [Part(number, name, *pair) for number, (pair, name) in enumerate(named, 1)]
+    return which + 1, rows, sides.names
+
+
+def _split(rows: list[Part], marks: Labels, own: NDArray[np.bool_], parent: Part, name: str, **more: Any) -> Part:
+    """Make a new part of some triangles of a part."""
+    names = [row.name for row in rows]
+    part = replace(parent, number=max(row.number for row in rows) + 1, name=plain_names([name], names)[0], **more)
+    marks[own] = part.number
+    rows.append(part)
+    return part
+
+
+def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list[Part], names: list[str]) -> None:
+    """Make a part of each connected cap of a material on a face of the volume, largest first."""
+    if surface.sides is None and surface.cap is None:
+        return
+    outer = np.ones(len(marks), dtype=bool) if surface.sides is None else surface.sides.outside == NOTHING
+    side = cap_sides(surface.points, surface.triangles, outer, surface.cap, border)
+    own = np.flatnonzero(side != NO_SIDE)
+    if not len(own):
+        return
+    classes = marks[own] * len(SIDES) + side[own]
+    pieces = connected(surface.points, surface.triangles[own], classes)
+    areas = np.bincount(pieces, triangle_quality(surface.points, surface.triangles[own]).area)
+    first = np.full(len(areas), len(own))
+    np.minimum.at(first, pieces, np.arange(len(own)))
+    plain = plain_names(names)
+    counts: dict[int, int] = {}
+    for piece in sorted(range(len(areas)), key=lambda piece: (classes[first[piece]], -areas[piece], first[piece])):
+        number, face = divmod(int(classes[first[piece]]), len(SIDES))
+        parent = next(row for row in rows if row.number == number)
+        counts[classes[first[piece]]] = count = counts.get(classes[first[piece]], 0) + 1
+        owner = "" if surface.sides is None else f"{plain[parent.inside]}_"
+        _split(rows, marks, own[pieces == piece], parent, f"{owner}cap_{SIDES[face]}_{count}", is_cap=True)
+
+
+def _inside(tag: Tag, positions: Points) -> NDArray[np.bool_]:
+    """Return whether each position is in the shape of a tag."""
+    away = positions - np.array(tag.numbers[:3])
+    if tag.shape == "ball":
+        return np.asarray(np.linalg.norm(away, axis=1) <= tag.numbers[3])
+    return np.asarray(away @ np.array(tag.numbers[3:]) >= 0.0)
+
+
+def _add_tags(surface: Surface, tags: Sequence[Tag], marks: Labels, rows: list[Part], names: list[str]) -> None:
+    """Split the parts at the borders of the tags.
+
+    A tag of one part gives it its name. Otherwise the pieces are named ``TAG_on_PART``. A part
+    that lies in a tag as a whole keeps its name.
+    """
+    centres = surface.shown(surface.points[surface.triangles].mean(axis=1))
+    inside = np.zeros((len(marks), len(tags)), dtype=bool)
+    find = Finder(rows, names, [])
+    for tag, own in zip(tags, inside.T, strict=True):
+        members = find.evaluate(tag.node, f"--tag {tag.text}={tag.name}")
+        own[:] = np.isin(marks, sorted(members)) & _inside(tag, centres)
+        if not own.any():
+            box = [surface.shown(surface.points).min(axis=0), surface.shown(surface.points).max(axis=0)]
+            low, high = (", ".join(f"{x:.6g}" for x in corner) for corner in box)
+            raise StageError(
+                f"--tag {tag.text}={tag.name} meets no triangle",
+                WHY,
+                f"check position and size (the surface extends from ({low}) to ({high}) mm); a tag applies to the outer "
+                "boundary unless it names others, as in 'ball:X,Y,Z,RADIUS & a/b=NAME'",
+            )
+    keys, which = np.unique(np.column_stack([marks, inside]), axis=0, return_inverse=True)
+    which, alone = which.ravel(), np.bincount(keys[:, 0])
+    by_number = {row.number: row for row in rows}
+    for key, (number, *flags) in enumerate(keys.tolist()):
+        within = tuple(tag.name for tag, flag in zip(tags, flags, strict=True) if flag)
+        parent = by_number[number]
+        if alone[number] == 1 or not within:
+            rows[rows.index(parent)] = replace(parent, within=within)
+            continue
+        own = which == key
+        is_whole = len(within) == 1 and np.array_equal(inside[:, [tag.name for tag in tags].index(within[0])], own)
+        name = within[0] if is_whole else f"{'_'.join(within)}_on_{parent.name}"
+        _split(rows, marks, own, parent, name, tags=within, within=within)
+
+
+def find_parts(
+    surface: Surface, border: Border | None = None, tags: Sequence[Tag] = (), definitions: Sequence[Definition] = ()
+) -> Parts:
+    """Find the parts of a surface, and the sets.
+
+    Parameters
+    ----------
+    surface
+        The surface of one object or of many materials.
+    border
+        The faces of the volume, if known.
+    tags, definitions
+        The tags, and the expressions of the sets.
+
+    Raises
+    ------
+    StageError
+        If a name is taken or unknown, a tag meets no triangle, or a set is empty.
+    """
+    marks, rows, names = _interfaces(surface)
+    _add_caps(surface, border, marks, rows, names)
+    refuse_taken([*tags, *definitions], [row.name for row in rows], names)
+    if tags:
+        _add_tags(surface, tags, marks, rows, names)
+    used = np.flatnonzero(np.bincount(marks)).tolist()
+    rows = sorted((row for row in rows if row.number in used), key=lambda row: row.number)
+    unions = [
+        NamedUnion(tag.name, tag.text, frozenset(row.number for row in rows if tag.name in row.within))
+        for tag in tags
+        if all(row.name != tag.name for row in rows)
+    ]
+    refuse_taken(definitions, [row.name for row in rows] + [union.name for union in unions], names)
+    find = Finder(rows, names, unions)
+    for definition in definitions:
+        members = find.evaluate(definition.node, told(definition))
+        if not members:
+            raise StageError(
+                f"{told(definition)} is empty",
+                WHY,
+                f"the parts are {', '.join(row.name for row in rows[:20])}{' ...' if len(rows) > 20 else ''}",
+            )
+        unions.append(NamedUnion(definition.name, definition.text, members))
+    return Parts(marks, rows, names, unions)

@@ -1,0 +1,71 @@
+"""Measures the parts of the boundary and the sets for the report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.parts.model import Parts
+from tetmesh_check.quality import Labels, Points
+
+MIN_FLATNESS = 0.1
+"""Minimum length of the mean normal of a part, where 1 is flat and 0.5 a half ball. Below, the part
+is closed or a tube, and the small differences of its ends decide on the mean."""
+
+
+def _measured(members: Labels, vectors: Points, centres: Points) -> dict[str, Any]:
+    """Return area, centre and mean normal of some triangles."""
+    areas = np.linalg.norm(vectors[members], axis=1)
+    area, total = float(areas.sum()), vectors[members].sum(axis=0)
+    length = float(np.linalg.norm(total))
+    return {
+        "triangles": len(members),
+        "area_mm2": area,
+        "centre_mm": (areas @ centres[members] / area).tolist() if area else None,
+        "normal": (total / length).tolist() if area and length > MIN_FLATNESS * area else None,
+    }
+
+
+def describe_parts(parts: Parts, mesh: MarkedMesh) -> dict[str, Any]:
+    """Return the parts and the sets with area, centre and mean normal by area.
+
+    Centres and normals are in the world frame of the output. A normal points away from the material
+    behind the part; it is ``None`` for closed parts and tubes.
+
+    Parameters
+    ----------
+    parts
+        The parts.
+    mesh
+        The mesh with their marks.
+    """
+    corners = mesh.shown[mesh.boundary]
+    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    centres = corners.mean(axis=1)
+    order = np.argsort(mesh.marks, kind="stable")
+    ends = np.searchsorted(mesh.marks[order], [part.number + offset for part in parts.rows for offset in (0, 1)])
+    own = {part.number: order[ends[2 * k] : ends[2 * k + 1]] for k, part in enumerate(parts.rows)}
+    names = {part.number: part.name for part in parts.rows}
+    return {
+        "parts": [
+            {
+                "number": part.number,
+                "name": part.name,
+                "kind": part.kind,
+                "between": [parts.names[part.inside], parts.names[part.outside]],
+                **_measured(own[part.number], vectors, centres),
+            }
+            for part in parts.rows
+        ],
+        "sets": [
+            {
+                "name": union.name,
+                "expression": union.text,
+                "parts": [names[number] for number in sorted(union.members)],
+                **_measured(np.concatenate([own[number] for number in sorted(union.members)]), vectors, centres),
+            }
+            for union in parts.unions
+        ],
+    }
