@@ -21,8 +21,8 @@ use std::collections::BTreeMap;
 /// Strata that pass a point within this distance, in voxels at scale 0 and in h at a scale, are
 /// merged there. New points are at least a twentieth of h from others
 /// ([`crate::queue::NEAREST_FOR_TOPOLOGY`]), so they cannot separate closer strata.
-/// `brain_parcellation` at 100,000 vertices has 16 spurious junction edges with 0.05 voxel, and none
-/// with 0.05, 0.1 or 0.2 h.
+/// `brain_parcellation` at 100,000 vertices has 16 spurious junction edges with 0.05 voxel, and
+/// none with 0.05, 0.1 or 0.2 h.
 const ONE_STRATUM: f64 = 0.05;
 
 /// Points on strata, and a material for each tetrahedron.

@@ -344,11 +344,11 @@ fn with_curves(
             let way = way_along(indicators, curve, upper, [a.place, b.place], longest)?;
             (!is_taken(&curve, &way)).then(|| (curve, length(&way)))
         };
-        let shortest = curves.iter().filter_map(free).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(curve, _)| curve);
+        let shortest = curves.iter().filter_map(free).min_by(|a, b| a.1.total_cmp(&b.1));
         let middle = a.place.midpoint(b.place);
         let real = |curve: &Stratum| indicators.clearance(middle, curve.materials());
         let in_the_middle = || curves.iter().copied().max_by(|a, b| real(a).total_cmp(&real(b)));
-        shortest.or_else(in_the_middle)
+        shortest.map(|(curve, _)| curve).or_else(in_the_middle)
     };
     pairs.par_iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
 }
