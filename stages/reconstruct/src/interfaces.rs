@@ -35,7 +35,7 @@ pub struct Interfaces {
 pub struct Joined {
     /// The vertex; `u32::MAX` if it was removed.
     pub vertex: u32,
-    /// Maximum first-order distance of the vertex from its interfaces, mm.
+    /// Limit of the first-order distance of the vertex from its interfaces, mm.
     pub distance: f64,
 }
 

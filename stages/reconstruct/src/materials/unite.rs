@@ -117,11 +117,11 @@ mod tests {
         let adopted = |h: f64, keeps_voxels: bool| {
             let mut complex = complex_with(&analytic, &points, &[[0, 1], [1, 2]], (h, keeps_voxels));
             complex.strata[3] = stratum(&[1, 2]);
-            (complex.adopt([2, 3]), complex.joined.get(&3).copied())
+            (complex.adopt([2, 3]), complex.joined.contains(&3), complex.tolerance(3))
         };
-        assert_eq!(adopted(1.0, false), (false, None));
-        assert_eq!(adopted(4.0, true), (false, None), "scale 0");
-        assert_eq!(adopted(4.0, false), (true, Some(0.2)));
+        assert_eq!(adopted(1.0, false), (false, false, 0.05));
+        assert_eq!(adopted(4.0, true), (false, false, 0.05), "scale 0");
+        assert_eq!(adopted(4.0, false), (true, true, 0.2));
     }
 
     #[test]
