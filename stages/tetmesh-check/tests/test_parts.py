@@ -306,6 +306,14 @@ def test_a_tag_across_parts_is_a_set_of_pieces() -> None:
     assert members(more, "c") == ["wall_cap_z1_1", "top_on_wall_cap_x0_1"]
 
 
+def test_pieces_do_not_take_the_name_of_another_tag() -> None:
+    name = "top_on_wall_to_outside"
+    tags = [read_tag("plane:0,0,4,0,0,1=top"), read_tag(f"plane:0,0,1,0,0,-1={name}")]
+    parts = find_parts(two_halves(), CUT, tags)
+    assert members(parts, "top") == ["wall_cap_z1_1", f"{name}_2", "top_on_wall_cap_x0_1"]
+    assert not set(members(parts, "top")) & set(members(parts, name))
+
+
 def test_tags_apply_to_interfaces_on_request() -> None:
     surface, line = two_halves(), "plane:2,0,0,1,0,0 & wall/blood = half"
     parts = find_parts(surface, None, [read_tag(line)])

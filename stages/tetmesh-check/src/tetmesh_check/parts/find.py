@@ -34,13 +34,13 @@ def _interfaces(surface: Surface) -> tuple[Labels, list[Part], list[str]]:
     return which + 1, rows, sides.names
 
 
-def _split(rows: list[Part], marks: Labels, own: NDArray[np.bool_], parent: Part, name: str, **more: Any) -> Part:
+def _split(
+    rows: list[Part], marks: Labels, own: Labels | NDArray[np.bool_], parent: Part, name: str, **more: Any
+) -> None:
     """Make a new part of some triangles of a part."""
-    names = [row.name for row in rows]
-    part = replace(parent, number=max(row.number for row in rows) + 1, name=plain_names([name], names)[0], **more)
+    part = replace(parent, number=max(row.number for row in rows) + 1, name=name, **more)
     marks[own] = part.number
     rows.append(part)
-    return part
 
 
 def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list[Part], names: list[str]) -> None:
@@ -64,7 +64,8 @@ def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list
         parent = next(row for row in rows if row.number == number)
         counts[classes[first[piece]]] = count = counts.get(classes[first[piece]], 0) + 1
         owner = "" if surface.sides is None else f"{plain[parent.inside]}_"
-        _split(rows, marks, own[pieces == piece], parent, f"{owner}cap_{SIDES[face]}_{count}", is_cap=True)
+        (name,) = plain_names([f"{owner}cap_{SIDES[face]}_{count}"], [*plain, *(row.name for row in rows)])
+        _split(rows, marks, own[pieces == piece], parent, name, is_cap=True)
 
 
 def _inside(tag: Tag, positions: Points) -> NDArray[np.bool_]:
@@ -107,7 +108,8 @@ def _add_tags(surface: Surface, tags: Sequence[Tag], marks: Labels, rows: list[P
             continue
         own = which == key
         is_whole = len(within) == 1 and np.array_equal(inside[:, [tag.name for tag in tags].index(within[0])], own)
-        name = within[0] if is_whole else f"{'_'.join(within)}_on_{parent.name}"
+        taken = [*plain_names(names), *(tag.name for tag in tags), *(row.name for row in rows)]
+        (name,) = within if is_whole else plain_names([f"{'_'.join(within)}_on_{parent.name}"], taken)
         _split(rows, marks, own, parent, name, tags=within, within=within)
 
 
