@@ -11,6 +11,7 @@ use isoparticles_mesh::tetrahedra::quadratic::{self, Meeting, Quadratic, meeting
 use isoparticles_stage::distance_field::DistanceField as Stored;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, Space};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use serde_json::json;
@@ -85,6 +86,9 @@ impl DistanceField {
         limits: Argument,
     ) -> PyResult<(Array, Array)> {
         let (functions, positions, limits) = (Arc::clone(&self.functions), points(positions)?, values::<f64>(limits)?);
+        if limits.len() != positions.len() {
+            return Err(PyValueError::new_err("each position must have a limit"));
+        }
         compute(py, move || {
             let found = positions.par_iter().zip(&limits).map(|(&p, &limit)| functions.project(&materials, p, limit));
             let found: Vec<Option<DVec3>> = found.collect();
@@ -107,7 +111,11 @@ impl DistanceField {
     ) -> PyResult<Curved> {
         let points = self::points(points)?;
         let (tetrahedra, triangles) = (cells(tetrahedra, points.len())?, cells(triangles, points.len())?);
-        let sides = indices(inside, MOST_MATERIALS)?.into_iter().zip(indices(outside, MOST_MATERIALS)?);
+        let (inside, outside) = (indices(inside, MOST_MATERIALS)?, indices(outside, MOST_MATERIALS)?);
+        if [inside.len(), outside.len()] != [triangles.len(); 2] {
+            return Err(PyValueError::new_err("each triangle must have a material on both sides"));
+        }
+        let sides = inside.into_iter().zip(outside);
         let between: Vec<Option<[u32; 2]>> = sides.map(|(a, b)| (a != b).then_some([a, b])).collect();
         let functions = Arc::clone(&self.functions);
         compute(py, move || {
@@ -178,8 +186,8 @@ pub(crate) struct Curved {
     curve_nodes: usize,
     /// Number of the surface nodes that were moved back so that no element folds.
     drawn_back: usize,
-    /// Number of the surface nodes that are too far from their interface.
-    too_far: usize,
+    /// Number of the surface nodes that could not be moved onto their interface.
+    not_reached: usize,
     /// Lower bound of the Jacobian of each element, relative to that of the straight tetrahedron.
     jacobian: Array,
     /// Number of elements whose Jacobian may not be positive everywhere.
@@ -203,7 +211,7 @@ impl Curved {
             surface_nodes: found.on_surface.len(),
             curve_nodes: found.on_surface.iter().filter(|(_, own)| own.len() > 2).count(),
             drawn_back: found.drawn_back,
-            too_far: found.too_far,
+            not_reached: found.not_reached,
             folded: found.folded(),
             jacobian: Array::column(&found.jacobian),
             volumes: Array::column(&found.volumes),

@@ -65,8 +65,8 @@ pub struct Quadratic {
     pub on_surface: Vec<Meeting>,
     /// Number of these nodes that were moved back from it.
     pub drawn_back: usize,
-    /// Number of these nodes that are too far from it.
-    pub too_far: usize,
+    /// Number of these nodes that could not be moved onto it.
+    pub not_reached: usize,
     /// Smallest Bezier coefficient of the Jacobian of each element, relative to that of the
     /// straight tetrahedron; 1 if the element is straight.
     pub jacobian: Vec<f64>,
@@ -100,7 +100,7 @@ impl Quadratic {
         for ((edge, _), target) in new.on_surface.iter().zip(targets) {
             match target {
                 Some(target) => moves[*edge as usize] = target - new.midpoints[*edge as usize],
-                None => new.too_far += 1,
+                None => new.not_reached += 1,
             }
         }
         new.place(points, cells, &moves);
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn nodes_lie_on_the_sphere_unless_they_fold_the_element() {
         let high = on_sphere(0.5);
-        assert_eq!((high.on_surface.len(), high.drawn_back, high.too_far, high.folded()), (3, 0, 0, 0));
+        assert_eq!((high.on_surface.len(), high.drawn_back, high.not_reached, high.folded()), (3, 0, 0, 0));
         assert!(high.on_surface.iter().all(|(node, _)| (high.nodes[*node as usize].length() - 1.0).abs() < 1e-14));
         assert!(high.volumes[0] > high.straight_volumes[0]);
     }
@@ -259,7 +259,7 @@ mod tests {
         let straight = of(None, |_, p, _| Some(p.normalize()));
         assert_eq!((straight.on_surface.len(), straight.jacobian[0]), (0, 1.0));
         let far = of(Some([1, 0]), |_, _, _| None);
-        assert_eq!((far.too_far, far.drawn_back, far.nodes == far.midpoints), (3, 0, true));
+        assert_eq!((far.not_reached, far.drawn_back, far.nodes == far.midpoints), (3, 0, true));
     }
 
     #[test]

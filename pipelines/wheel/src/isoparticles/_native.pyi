@@ -216,7 +216,7 @@ class Curved(TypedDict):
     surface_nodes: int
     curve_nodes: int
     drawn_back: int
-    too_far: int
+    not_reached: int
     jacobian: Floats
     folded: int
     volumes: Floats

@@ -62,7 +62,7 @@ _DOUBTS = {
     "surface_volume": "surface against {base}: the volume changes by {told} (limit {limit:g} %)",
     "nodes_on_surface": (
         "{value} of {surface_nodes} mid-edge nodes of the surface do not lie on {zero}: {drawn_back} were moved back "
-        "so that no element folds, {too_far} are too far from it"
+        "so that no element folds, {not_reached} could not be moved onto it"
     ),
 }
 """Messages of the checks whose failure is only a warning."""

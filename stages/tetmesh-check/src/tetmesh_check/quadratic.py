@@ -53,9 +53,9 @@ def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None =
         "nodes": count + len(found["nodes"]),
         "surface_nodes": found["surface_nodes"],
         "curve_nodes": found["curve_nodes"],
-        "not_on_surface": found["drawn_back"] + found["too_far"],
+        "not_on_surface": found["drawn_back"] + found["not_reached"],
         "drawn_back": found["drawn_back"],
-        "too_far": found["too_far"],
+        "not_reached": found["not_reached"],
         "distance_mm": {
             "vertices": summarize(found["vertex_distances"]),
             "middles_of_edges": summarize(found["midpoint_distances"]),
