@@ -10,7 +10,7 @@ use glam::DVec3;
 pub struct Object(pub CubicSpline);
 
 impl Object {
-    /// The object.
+    /// Number of the object.
     pub const INSIDE: MaterialId = MaterialId(1);
 }
 

@@ -14,8 +14,8 @@ use isoparticles_stage::error::Result;
 const MIDDLE: f64 = 0.2;
 
 impl Refinement<'_> {
-    /// Splits a segment at a new point on its curve. The point is at least `least` (mm) from both
-    /// ends. Returns false if there is no such point.
+    /// Splits a segment at a new point on its curve. The point is farther from both ends than
+    /// `least` (mm) and than [`MIDDLE`] of the length. Returns false if there is no such point.
     pub(super) fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
         let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let Some(place) = self.cut(pair, curve, least) else { return Ok(false) };

@@ -30,10 +30,10 @@ impl Refinement<'_> {
     }
 }
 
-/// Returns whether a segment that is not an edge between its materials is superfluous. Its curve is
-/// of three materials, and each of its ends has two other segments of this curve that are such
-/// edges. Without the segment, the topology at the edge is right. This happens if `seed` follows a
-/// curve from one of two close branches to the other.
+/// Returns whether a segment that is not an edge between its materials is superfluous: its curve
+/// has three materials, each of its ends has two other segments of this curve that are such edges,
+/// and the topology at the edge is right without the segment. Such segments exist where `seed`
+/// follows a curve from one of two close branches to the other.
 fn is_superfluous(complex: &Complex, pair: Segment) -> bool {
     let Some(curve) = complex.segments.curve(pair).filter(|curve| curve.dimension() == 1) else { return false };
     let is_right = |other: &Segment| {

@@ -31,7 +31,7 @@ class Node:
     """A parsed expression: an operand, or an operator with two expressions."""
 
     operator: str = ""
-    operands: tuple[Node, ...] = ()
+    children: tuple[Node, ...] = ()
     names: Operand = ()
 
     def evaluate(self, find: Callable[[Operand], Members]) -> Members:
@@ -44,12 +44,12 @@ class Node:
         """
         if not self.operator:
             return find(self.names)
-        first, second = (node.evaluate(find) for node in self.operands)
+        first, second = (node.evaluate(find) for node in self.children)
         return {"+": first | second, "-": first - second, "&": first & second}[self.operator]
 
-    def operands_of(self) -> list[Operand]:
+    def leaves(self) -> list[Operand]:
         """Return all operands, from the left."""
-        return [self.names] if not self.operator else [own for node in self.operands for own in node.operands_of()]
+        return [self.names] if not self.operator else [own for node in self.children for own in node.leaves()]
 
 
 @dataclass(frozen=True)

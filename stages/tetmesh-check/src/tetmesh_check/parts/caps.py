@@ -23,7 +23,7 @@ corners within 0.1 voxel of the face have 59 to 92 %. If the surface meets the f
 part of its rounded rim counts, and the caps have 113 to 119 %. The volumes were meshed with
 `make surface INPUT=tube.nrrd LABELS=1,2` or `MATERIALS=lumen:1,wall:2`, `SIZE=2` or `SCALE=0`."""
 MAX_DEPTH = 0.25
-"""Maximum distance from its centroid to the face of the volume, voxels."""
+"""Maximum distance of the centroid of a triangle of a cap from the face of the volume, voxels."""
 
 
 class Border(NamedTuple):
@@ -40,8 +40,8 @@ class Border(NamedTuple):
 def border_of(image: pv.ImageData, history: Any) -> Border | None:
     """Return the faces of the volume of which a file has a field; ``None`` if they are unknown.
 
-    The grid of a field extends the volume by the margin of ``distfield``. ``distfield`` crops the
-    volume to the object, but then leaves voxels of the outside at the new faces.
+    The grid of a field extends the volume by the margin of ``distfield``. If ``distfield`` crops
+    the volume to the object, it leaves voxels of the outside at the new faces, which have no caps.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def cap_sides(
         Whether each triangle has the outside in front.
     flags
         For one object, whether ``reconstruct`` counts each triangle as a cap; ``None`` for many
-        materials. A face of the volume without such a triangle is a flat side of the object.
+        materials. Faces of the volume without such a triangle have no cap: the object is just flat.
     border
         The faces of the volume. If they are unknown, only ``flags`` count.
     """

@@ -79,8 +79,8 @@ def _inside(tag: Tag, positions: Points) -> NDArray[np.bool_]:
 def _add_tags(surface: Surface, tags: Sequence[Tag], marks: Labels, rows: list[Part], names: list[str]) -> None:
     """Split the parts at the borders of the tags.
 
-    A tag of one part gives it its name. Otherwise the pieces are named ``TAG_on_PART``. A part
-    that lies in a tag as a whole keeps its name.
+    A tag that takes a piece of one part is the name of this piece. The pieces of other tags are
+    named ``TAG_on_PART``. A part that lies in a tag as a whole keeps its name.
     """
     centres = surface.shown(surface.points[surface.triangles].mean(axis=1))
     inside = np.zeros((len(marks), len(tags)), dtype=bool)

@@ -11,8 +11,8 @@ from tetmesh_check.parts.model import Parts
 from tetmesh_check.quality import Labels, Points
 
 MIN_FLATNESS = 0.1
-"""Minimum length of the mean normal of a part, where 1 is flat and 0.5 a half ball. Below, the part
-is closed or a tube, and the small differences of its ends decide on the mean."""
+"""Minimum length of the mean normal of a part: 1 if it is flat, 0.5 if it is half a sphere. Below
+it, the part is nearly closed or a tube, and its mean normal is noise."""
 
 
 def _measured(members: Labels, vectors: Points, centres: Points) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def _measured(members: Labels, vectors: Points, centres: Points) -> dict[str, An
 
 
 def describe_parts(parts: Parts, mesh: MarkedMesh) -> dict[str, Any]:
-    """Return the parts and the sets with area, centre and mean normal by area.
+    """Return the parts and the sets with area, centre and mean normal, weighted by area.
 
     Centres and normals are in the world frame of the output. A normal points away from the material
     behind the part; it is ``None`` for closed parts and tubes.

@@ -35,7 +35,7 @@ class Part:
     is_cap: bool = False
     """Whether a face of the volume cuts the object there."""
     tags: tuple[str, ...] = ()
-    """The tags that contain it, unless a tag contains all of what the part would be without."""
+    """The tags that split it off from another part; empty if none did."""
     within: tuple[str, ...] = ()
     """All tags that contain it."""
 

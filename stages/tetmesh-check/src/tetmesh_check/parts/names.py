@@ -120,6 +120,6 @@ def check_early(tags: Sequence[Tag], definitions: Sequence[Definition], names: S
         return
     finder = Finder([], list(names or OBJECT_NAMES), [])
     for definition in definitions:
-        for name in (name for own in definition.node.operands_of() if len(own) == 2 for name in own):
+        for name in (name for own in definition.node.leaves() if len(own) == 2 for name in own):
             if finder.material(name) is None:
                 finder.refuse(name, told(definition), finder.names, "is not a material")

@@ -9,8 +9,8 @@ from tetmesh_check.parts.algebra import Node, check_name, read_expression
 
 _FORMS = {"ball": "X,Y,Z,RADIUS", "plane": "X,Y,Z,NX,NY,NZ"}
 """The numbers of each shape."""
-EVERYWHERE = "outside"
-"""Where a tag applies by default: to the boundary of the whole mesh."""
+OUTER_BOUNDARY = "outside"
+"""Where a tag applies by default."""
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,5 @@ def read_tag(text: str) -> Tag:
         given.strip(),
         shape,
         numbers,
-        read_expression(expression if ampersand else EVERYWHERE),
+        read_expression(expression if ampersand else OUTER_BOUNDARY),
     )
