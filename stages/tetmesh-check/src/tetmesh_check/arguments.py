@@ -16,6 +16,7 @@ from tetmesh_check.export.profiles import PROFILES
 from tetmesh_check.fem.currents import ForwardArguments, check_names
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 from tetmesh_check.parts.algebra import Definition
+from tetmesh_check.parts.splits import Split
 from tetmesh_check.parts.tags import Tag
 
 _PARAMETERS = ("tet_size_factor", "method", "envelope", "stop_energy", "max_passes")
@@ -69,6 +70,8 @@ class Arguments:
     """Density and stiffness of the elements from a scan."""
     tags: tuple[Tag, ...] = ()
     sets: tuple[Definition, ...] = ()
+    splits: tuple[Split, ...] = ()
+    """The interfaces to split, with the widths of their gaps."""
 
     @property
     def name(self) -> str:
@@ -103,14 +106,20 @@ class Arguments:
                 "the volume mesh is written in the VTK format for unstructured grids",
                 "name the output NAME.volume.vtu",
             )
-        if (self.tags or self.sets) and self.profile and PROFILES[self.profile].number:
+        if (self.tags or self.sets or self.splits) and self.profile and PROFILES[self.profile].number:
             raise StageError(
-                f"--tag, --set or --sets with --for {self.profile}",
+                f"--tag, --set, --sets, --split or --gap with --for {self.profile}",
                 f"{self.profile} expects exactly one surface per tissue, and no other groups",
                 "omit these options, or use --export",
             )
         if self.order == 1:
             return
+        if gaps := [split.text for split in self.splits if split.width]:
+            raise StageError(
+                f"{gaps[0]} with --order 2",
+                "the sides of a gap are moved as straight triangles, and those of --order 2 are curved",
+                "use --order 1, or --split, whose sides coincide",
+            )
         if self.distfield is None:
             raise StageError(
                 "--order 2 without --distfield",
@@ -164,4 +173,5 @@ class Arguments:
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
             **({} if not self.tags else {"tags": {tag.name: tag.text for tag in self.tags}}),
             **({} if not self.sets else {"sets": {one.name: one.text for one in self.sets}}),
+            **({} if not self.splits else {"splits": [split.text for split in self.splits]}),
         }

@@ -104,7 +104,7 @@ def _check_options(known: str, words: list[str]) -> None:
     for option, path in (("--labels-volume", parsed.labels_volume), ("--density", parsed.density)):
         if path is not None and not path.exists():
             raise file_error(path, "read", FileNotFoundError("it is not there"), f"check {option}")
-    check_early(arguments.tags, arguments.sets, materials)
+    check_early(arguments.tags, arguments.sets, materials, arguments.splits)
     if materials is not None:
         # the first is the outside
         arguments.check_material_names(materials[1:])
@@ -133,6 +133,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
         "tags": tuple(parsed.tags),
         "sets": (*(read_definitions(parsed.sets_file) if parsed.sets_file else ()), *parsed.sets),
+        "splits": (*parsed.splits, *parsed.gaps),
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 from isoparticles._native import Context, changed_triangles, distances_both_ways, surface_topology
 
-from tetmesh_check.checks import poor_tetrahedra, smallest_elsewhere
+from tetmesh_check.checks import Check, Limits, counted, poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
+from tetmesh_check.gap import open_gaps
 from tetmesh_check.materials import NOTHING, Conformity
 from tetmesh_check.parts.measure import describe_parts
 from tetmesh_check.parts.model import Parts
 from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
 from tetmesh_check.regions import meshed_labels, regions_of, share_outside
+from tetmesh_check.split import split
 from tetmesh_check.surface import Surface, volume_table
 from tetmesh_check.tets.fill import Filled, Task
 from tetmesh_check.topology import Boundary, tetrahedron_boundary
@@ -142,7 +144,7 @@ def mark(
     labels: InputVolume | None,
     context: Context,
 ) -> MarkedMesh:
-    """Find the regions of the tetrahedra and the parts of their boundary, and measure the parts.
+    """Find the regions of the tetrahedra and the parts of their boundary.
 
     Parameters
     ----------
@@ -167,7 +169,7 @@ def mark(
             regions, known = _labels(mesh, surface, labels, context), None
         marks = parts.on(surface, mesh.points, outside.triangles)
         marked = object_mesh(mesh.points, mesh.tetrahedra, regions, outside, marks, known)
-    marked = replace(
+    return replace(
         marked,
         marks=marks,
         parts={part.number: part.name for part in parts.rows},
@@ -175,6 +177,63 @@ def mark(
         unions={union.name: union.members for union in parts.unions},
         space=surface.space,
     )
+
+
+def separate(
+    marked: MarkedMesh, filled: Filled, parts: Parts, limits: Limits, context: Context
+) -> tuple[MarkedMesh, Filled, list[Check]]:
+    """Split interfaces and open their gaps, and measure the parts.
+
+    Parameters
+    ----------
+    marked, filled
+        The tetrahedra. The measures of :func:`measure` are those of the joined mesh.
+    parts
+        The parts, with both sides of the split interfaces.
+    limits
+        The limits of shape.
+    context
+        For the results.
+    """
+    result, checks = split(marked, parts), []
+    if parts.splits:
+        with context.step("split interfaces"):
+            opened = open_gaps(result, parts, filled.quality, limits)
+        result, before, checks = replace(result, points=opened.points), filled.quality, opened.checks
+        filled = filled._replace(quality=opened.quality)
+        context.results["split"] = {
+            "interfaces": opened.results,
+            "min_dihedral": {
+                "before": float(before.min_dihedral.min()),
+                "after": float(opened.quality.min_dihedral.min()),
+            },
+            "regions": [
+                {
+                    "name": own.name,
+                    "joined_mm3": float(before.volume[own.members].sum()),
+                    "volume_mm3": float(opened.quality.volume[own.members].sum()),
+                }
+                for own in result.region_sets
+            ],
+        }
+        for found in opened.results:
+            _tell(found, context)
     with context.step("measure parts"):
-        context.results["boundary"] = describe_parts(parts, marked)
-    return marked
+        context.results["boundary"] = describe_parts(parts, result)
+    return result, filled, checks
+
+
+def _tell(found: dict[str, Any], context: Context) -> None:
+    """Add a split interface to the closing table; warn of nodes that stay shared."""
+    told = f"{found['doubled_nodes']:,} nodes doubled"
+    if width := found.get("width_mm"):
+        low, high = found["distance_mm"]
+        told += f"; gap of {width:g} mm: {low:.4g} to {high:.4g} mm"
+    context.closing.append((found["interface"], told))
+    if places := found["shared_nodes_mm"]:
+        x, y, z = places[0]
+        context.warn(
+            f"{found['interface']} stays joined at {counted(len(places), 'node')} of its rim, which another material "
+            f"holds together (first at ({x:.6g}, {y:.6g}, {z:.6g}) mm; all: split in the report)"
+            + ("; the gap closes there" if width else "")
+        )

@@ -18,6 +18,7 @@ from isoparticles._native import VERSION, number_of_bytes
 from tetmesh_check.density.laws import read_calibration, read_law
 from tetmesh_check.errors import StageError, close
 from tetmesh_check.parts.algebra import read_definition
+from tetmesh_check.parts.splits import read_gap, read_split
 from tetmesh_check.parts.tags import read_tag
 
 FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
@@ -155,4 +156,6 @@ _READERS: dict[str, Callable[[str], Any]] = {
     "law": read_law,
     "tag": _told(read_tag),
     "set": _told(read_definition),
+    "split": _told(read_split),
+    "gap": _told(read_gap),
 }

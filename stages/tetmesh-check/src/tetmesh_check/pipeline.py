@@ -20,8 +20,9 @@ from tetmesh_check.fem.currents import Forward
 from tetmesh_check.fem.solve import solve_on
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
+from tetmesh_check.gap import refuse_wide
 from tetmesh_check.materials import Sides
-from tetmesh_check.measures import mark, measure
+from tetmesh_check.measures import mark, measure, separate
 from tetmesh_check.parts.caps import Border
 from tetmesh_check.parts.find import find_parts
 from tetmesh_check.parts.model import Parts
@@ -30,6 +31,7 @@ from tetmesh_check.quality import Values, summarize, triangle_quality
 from tetmesh_check.regions import check_labels, distfield_parameter, has_scale, meshed_labels
 from tetmesh_check.report.rendering import drawing
 from tetmesh_check.space import output_space, turned
+from tetmesh_check.split import split
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.volumes import InputVolume, read_label_volume
@@ -88,7 +90,7 @@ def _parts(arguments: Arguments, surface: Surface, border: Border | None, contex
     if sides is not None:
         arguments.refuse_for_materials()
     with context.step("find parts"):
-        parts = find_parts(surface, border, arguments.tags, arguments.sets)
+        parts = find_parts(surface, border, arguments.tags, arguments.sets, arguments.splits)
     context.check_outputs(arguments.export_paths(sides is not None, parts.set_names))
     return parts
 
@@ -135,13 +137,19 @@ def _task(
 
 
 def _curve(
-    arguments: Arguments, marked: MarkedMesh, field: DistanceField, sides: Sides | None, context: Context
+    arguments: Arguments,
+    marked: MarkedMesh,
+    parts: Parts,
+    field: DistanceField,
+    sides: Sides | None,
+    context: Context,
 ) -> tuple[MarkedMesh, list[Check]]:
-    """Add a node on each edge, write this mesh, and check it."""
+    """Add a node on each edge, split interfaces, write this mesh, and check it."""
     path = arguments.quadratic
     with context.step("quadratic"):
         curved = make_quadratic(marked, field, sides)
-        write_volume(path, curved.mesh, {"jacobian_bound": curved.jacobian}, context.history())
+        mesh = split(curved.mesh, parts)
+        write_volume(path, mesh, {"jacobian_bound": curved.jacobian}, context.history())
     found = context.results["quadratic"] = {"file": path.name, **curved.results}
     nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))
     told = (
@@ -149,7 +157,7 @@ def _curve(
         f"{nodes:.2g} mm from {'F = 0' if sides is None else 'their interface'} (edge midpoints: {middles:.2g} mm)"
     )
     context.closing.append(("quadratic", told))
-    return curved.mesh, curved.checks
+    return mesh, curved.checks
 
 
 def _judge(task: Task, filled: Filled, context: Context) -> list[Check]:
@@ -207,20 +215,23 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step("read density"):
             scan = read_density(arguments.density, surface, context)
     task = _task(arguments, surface, sizing, labels, context)
+    refuse_wide(parts, surface)
     filled = fill(task, context)
     mesh = measure(task, filled, context)
     marked = mark(task.surface, mesh, filled.conformity, parts, labels, context)
     if scan is not None:
         with context.step("map density"):
             marked = map_density(scan, marked, mesh.volumes, context)
+    joined = marked
+    marked, filled, checks = separate(joined, filled, parts, arguments.limits, context)
     with context.step("write"):
         # the mesh remains if a later step fails
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
     many = surface.sides is not None
     with drawing(arguments, context, many):
-        checks = _judge(task, filled, context)
+        checks += _judge(task, filled, context)
         if field is not None:
-            marked, more = _curve(arguments, marked, field, surface.sides, context)
+            marked, more = _curve(arguments, joined, parts, field, surface.sides, context)
             checks += more
         exported = renumbered(marked, arguments.profile)
         for kind in arguments.exports:

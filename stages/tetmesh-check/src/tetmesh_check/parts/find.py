@@ -14,8 +14,9 @@ from tetmesh_check.export.mesh import PARTS, interface_names, plain_names
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.parts.algebra import Definition
 from tetmesh_check.parts.caps import NO_SIDE, SIDES, Border, cap_sides, connected
-from tetmesh_check.parts.model import NamedUnion, Part, Parts
+from tetmesh_check.parts.model import NamedUnion, Part, Parts, SplitInterface
 from tetmesh_check.parts.names import OBJECT_NAMES, WHY, Finder, refuse_taken, told
+from tetmesh_check.parts.splits import Split
 from tetmesh_check.parts.tags import Tag
 from tetmesh_check.quality import Labels, Points, triangle_quality
 from tetmesh_check.regions import SURFACE
@@ -113,8 +114,44 @@ def _add_tags(surface: Surface, tags: Sequence[Tag], marks: Labels, rows: list[P
         _split(rows, marks, own, parent, name, tags=within, within=within)
 
 
+def _add_sides(rows: list[Part], names: list[str], splits: Sequence[Split]) -> list[SplitInterface]:
+    """Add a part for the second side of each part of the split interfaces.
+
+    A part keeps the side of its inside. The other side of ``bone_to_cartilage`` is
+    ``cartilage_to_bone``, and that of a tag ``t`` is ``cartilage_t``.
+    """
+    find, plain, found = Finder(rows, names, []), plain_names(names), []
+    for split in splits:
+        find.check_interface(split)
+        members = find.evaluate(split.node, split.text)
+        interface = SplitInterface(split, [], [])
+        for row in [row for row in rows if row.number in members]:
+            if row.twin:
+                raise StageError(
+                    f"{split.text}: the interface is given twice",
+                    "an interface is split once, and has one width",
+                    "give each interface to one option --split or --gap; --gap also splits it",
+                )
+            inside, outside = plain[row.inside], plain[row.outside]
+            name = f"{outside}_to_{inside}" if row.name == f"{inside}_to_{outside}" else f"{outside}_{row.name}"
+            (name,) = plain_names([name], [*plain, *(own.name for own in rows)])
+            number = rows[-1].number + 1
+            twin = replace(row, number=number, name=name, inside=row.outside, outside=row.inside, twin=row.number)
+            rows[rows.index(row)] = replace(row, twin=number)
+            rows.append(twin)
+            for own in (row, twin):
+                is_first = own.inside == find.material(split.node.names[0])
+                (interface.first if is_first else interface.second).append(own.number)
+        found.append(interface)
+    return found
+
+
 def find_parts(
-    surface: Surface, border: Border | None = None, tags: Sequence[Tag] = (), definitions: Sequence[Definition] = ()
+    surface: Surface,
+    border: Border | None = None,
+    tags: Sequence[Tag] = (),
+    definitions: Sequence[Definition] = (),
+    splits: Sequence[Split] = (),
 ) -> Parts:
     """Find the parts of a surface, and the sets.
 
@@ -126,6 +163,8 @@ def find_parts(
         The faces of the volume, if known.
     tags, definitions
         The tags, and the expressions of the sets.
+    splits
+        The interfaces to split.
 
     Raises
     ------
@@ -139,6 +178,7 @@ def find_parts(
         _add_tags(surface, tags, marks, rows, names)
     used = np.flatnonzero(np.bincount(marks)).tolist()
     rows = sorted((row for row in rows if row.number in used), key=lambda row: row.number)
+    sides = _add_sides(rows, names, splits)
     unions = [
         NamedUnion(tag.name, tag.text, frozenset(row.number for row in rows if tag.name in row.within))
         for tag in tags
@@ -155,4 +195,4 @@ def find_parts(
                 f"the parts are {', '.join(row.name for row in rows[:20])}{' ...' if len(rows) > 20 else ''}",
             )
         unions.append(NamedUnion(definition.name, definition.text, members))
-    return Parts(marks, rows, names, unions)
+    return Parts(marks, rows, names, unions, sides)

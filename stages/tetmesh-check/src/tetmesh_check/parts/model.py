@@ -7,13 +7,15 @@ caps, and inside the same tags. A set is a union of parts: of a tag, or of an ex
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from isoparticles import _native
 
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.parts.algebra import Members
+from tetmesh_check.parts.splits import Split
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.surface import Surface
 
@@ -38,6 +40,8 @@ class Part:
     """The tags that split it off from another part; empty if none did."""
     within: tuple[str, ...] = ()
     """All tags that contain it."""
+    twin: int = 0
+    """Number of the other side if the interface is split, else 0."""
 
     @property
     def kind(self) -> str:
@@ -59,6 +63,27 @@ class NamedUnion:
 
 
 @dataclass(frozen=True)
+class SplitInterface:
+    """The two sides of a split interface A/B."""
+
+    split: Split
+    first: list[int]
+    """Numbers of the parts of A."""
+    second: list[int]
+    """Numbers of the parts of B."""
+
+    @property
+    def name(self) -> str:
+        """The interface as given: ``A/B``."""
+        return "/".join(self.split.node.names)
+
+    @property
+    def contacts(self) -> list[tuple[int, int]]:
+        """Pairs of parts that can touch. Tags divide a side into several parts."""
+        return list(product(self.first, self.second))
+
+
+@dataclass(frozen=True)
 class Parts:
     """The parts of a surface, and the sets of parts."""
 
@@ -68,6 +93,8 @@ class Parts:
     names: list[str]
     """Names of the materials by number, ``outside`` first."""
     unions: list[NamedUnion]
+    splits: list[SplitInterface] = field(default_factory=list)
+    """The split interfaces."""
 
     @property
     def set_names(self) -> list[str]:

@@ -9,13 +9,15 @@ from typing import NoReturn
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import RESERVED, plain_names
+from tetmesh_check.materials import NOTHING
 from tetmesh_check.parts.algebra import EVERYTHING, Definition, Members, Node, Operand
 from tetmesh_check.parts.model import NamedUnion, Part
+from tetmesh_check.parts.splits import Split
 from tetmesh_check.parts.tags import Tag
 
 OBJECT_NAMES = ("outside", "object")
 """Names of the two materials of one object in expressions."""
-WHY = "a boundary condition on this set would apply to nothing or to the wrong triangles"
+WHY = "a boundary condition or contact there would apply to nothing or to the wrong triangles"
 """Why an unknown name or an empty set matters."""
 _KEYWORDS = ("caps", "outside", "object", *RESERVED)
 _ARRAYS = (
@@ -63,7 +65,9 @@ class Finder:
             return known[name]
         if (number := self.material(name)) is None:
             self.refuse(name, where, [*known, *self.names], "is not the name of a part, a material, a tag or a set")
-        return frozenset(row.number for row in self.rows if number in (row.inside, row.outside))
+        # a side of a split interface belongs to its inside only
+        own = [row for row in self.rows if number == row.inside or (number == row.outside and not row.twin)]
+        return frozenset(row.number for row in own)
 
     def _pair(self, operand: Operand, where: str) -> Members:
         numbers = [self.material(name) for name in operand]
@@ -75,6 +79,18 @@ class Finder:
             touching = [f"{self.names[row.inside]}/{self.names[row.outside]}" for row in self.rows]
             self.refuse("/".join(operand), where, list(dict.fromkeys(touching)), "is not an interface")
         return found
+
+    def check_interface(self, split: Split) -> None:
+        """Refuse an interface to split that is not between two materials."""
+        if self.names == list(OBJECT_NAMES):
+            raise StageError(
+                f"{split.text}: the surface is that of one object",
+                "an interface lies between two materials",
+                "mesh the materials together (MATERIALS=bone:1,cartilage:2), or omit --split and --gap",
+            )
+        for name in split.node.names:
+            if self.material(name) in (None, NOTHING):
+                self.refuse(name, split.text, self.names[1:], "is not a material")
 
     def refuse(self, name: str, where: str, known: list[str], what: str) -> NoReturn:
         """Refuse a name; suggest similar known ones."""
@@ -105,7 +121,9 @@ def refuse_taken(given: Sequence[Tag | Definition], taken: Sequence[str], names:
         used.add(one.name.lower())
 
 
-def check_early(tags: Sequence[Tag], definitions: Sequence[Definition], names: Sequence[str] | None) -> None:
+def check_early(
+    tags: Sequence[Tag], definitions: Sequence[Definition], names: Sequence[str] | None, splits: Sequence[Split] = ()
+) -> None:
     """Refuse what can be refused before there is a surface: taken names and unknown materials.
 
     Parameters
@@ -114,11 +132,15 @@ def check_early(tags: Sequence[Tag], definitions: Sequence[Definition], names: S
         The tags and sets.
     names
         Names of the materials, ``outside`` first; empty for one object, ``None`` if unknown.
+    splits
+        The interfaces to split.
     """
     refuse_taken([*tags, *definitions], [], names or [])
     if names is None:
         return
     finder = Finder([], list(names or OBJECT_NAMES), [])
+    for split in splits:
+        finder.check_interface(split)
     for definition in definitions:
         for name in (name for own in definition.node.leaves() if len(own) == 2 for name in own):
             if finder.material(name) is None:

@@ -1,0 +1,307 @@
+"""Moves the two sides of split interfaces apart until the distance between them is the gap.
+
+A node moves by the vector d whose component along the normal of each adjacent triangle of its side
+is half the gap, into its material (least squares). The rest of d keeps it on the other triangles
+that it belongs to, such as the free surface at the rim. The lengths of these vectors are corrected
+by the measured distances. Interior nodes nearby follow. A node that both sides share stays.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from isoparticles._native import distances_both_ways
+from numpy.typing import NDArray
+
+from tetmesh_check.checks import SHAPE, Check, Limits, check
+from tetmesh_check.errors import StageError
+from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.parts.model import Parts, SplitInterface
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
+from tetmesh_check.surface import Surface
+
+TOLERANCE = 0.01
+"""Maximum difference between the distance of the sides and the width of the gap, relative to it."""
+_SHARP = np.cos(np.radians(11.5))
+"""Cosine of the maximum angle between the normals of a node and of its triangles. Where planes are
+a distance apart and meet at a larger angle, the distance of their edges differs by more than twice
+:data:`TOLERANCE`: 1 / cos(11.5 degrees) = 1.02."""
+_NOISE = 0.05
+"""Normals define only those directions in which the mean square of their components is above this:
+in a fold of 13 degrees to each side, sin^2(13 degrees)."""
+_ROUNDS = 8
+"""Corrections of the lengths. The error of a ball in a shell does not change after the fifth."""
+_LAYERS = 4
+"""Layers of elements that follow the sides."""
+_SWEEPS = 60
+"""Sweeps of Jacobi's method for the interior nodes. The error in :data:`_LAYERS` layers falls by
+cos(pi / 5) = 0.81 in each, so by more than 1e5 in all."""
+_CHUNK = 50_000
+"""Triangles in a measurement: with their corners, not more than the positions that the Rust code
+measures (``MAX_SAMPLES``)."""
+
+
+class _Side(NamedTuple):
+    """One side of a gap."""
+
+    triangles: Cells
+    """Outward from its material."""
+    nodes: Labels
+    shared: NDArray[np.bool_]
+    """Whether each node belongs to the other side as well."""
+    is_loose: NDArray[np.bool_]
+    """Whether each node lies on the rim or on a sharp bend. Its distance may differ."""
+    tapers: NDArray[np.bool_]
+    """Whether each triangle has a shared node."""
+
+    def local(self) -> Cells:
+        """Return the corners of the triangles as indices of ``nodes``."""
+        return np.searchsorted(self.nodes, self.triangles)
+
+
+class Opened(NamedTuple):
+    """A mesh with gaps."""
+
+    points: Points
+    quality: TetrahedronQuality
+    results: list[dict[str, Any]]
+    """Measures of each split interface, for the report."""
+    checks: list[Check]
+
+
+def refuse_wide(parts: Parts, surface: Surface) -> None:
+    """Refuse a gap that is wider than a material can give way, before the surface is filled."""
+    for interface in parts.splits:
+        on = np.isin(parts.marks, interface.first + interface.second)
+        for numbers in (interface.first, interface.second):
+            row = next(row for row in parts.rows if row.number in numbers)
+            assert surface.sides is not None, "there are several materials"
+            rest = ~on & ((surface.sides.inside == row.inside) | (surface.sides.outside == row.inside))
+            if not interface.split.width or not rest.any():
+                continue
+            away = distances_both_ways(surface.points, surface.triangles[on], surface.points, surface.triangles[rest])
+            if 0.5 * interface.split.width >= (thickest := float(away[0].max())):
+                raise StageError(
+                    f"{interface.split.text}: each side moves by {0.5 * interface.split.width:g} mm, but "
+                    f"{parts.names[row.inside]} is at most {thickest:.3g} mm thick there",
+                    "the gap would be wider than the part",
+                    f"choose a width well below {2.0 * thickest:.3g} mm",
+                )
+
+
+def open_gaps(mesh: MarkedMesh, parts: Parts, quality: TetrahedronQuality, limits: Limits) -> Opened:
+    """Open the gaps of a split mesh.
+
+    Parameters
+    ----------
+    mesh
+        Linear tetrahedra, with split interfaces.
+    parts
+        The parts.
+    quality
+        The shapes of the tetrahedra.
+    limits
+        The limits of shape. A gap makes no tetrahedron miss them.
+
+    Raises
+    ------
+    StageError
+        If a tetrahedron does not fit into the material beside the gap.
+    """
+    gaps = [interface for interface in parts.splits if interface.split.width]
+    points = mesh.points
+    if gaps:
+        points = _moved(mesh, gaps)
+        before, quality = quality, tetrahedron_quality(points, mesh.tetrahedra)
+        _refuse_poor(mesh, gaps, before, quality, limits)
+    results, checks = [], []
+    for interface in parts.splits:
+        found = _describe(mesh, interface, points)
+        if width := interface.split.width:
+            low, high = found["distance_mm"]
+            off = 100.0 * max(high / width - 1.0, 1.0 - low / width)
+            told = f"{low:.4g} to {high:.4g} mm"
+            checks.append(check("gap_width", off, 100.0 * TOLERANCE, gap=interface.split.text, told=told))
+        results.append(found)
+    return Opened(points, quality, results, checks)
+
+
+def _describe(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> dict[str, Any]:
+    """Return the measures of a split interface for the report."""
+    one, other = _sides(mesh, interface, points)
+    shared = one.nodes[one.shared]
+    found: dict[str, Any] = {
+        "interface": interface.name,
+        "sides": [[mesh.parts[mark] for mark in marks] for marks in (interface.first, interface.second)],
+        "triangles": len(one.triangles),
+        "doubled_nodes": len(one.nodes) - len(shared),
+        "shared_nodes_mm": mesh.shown[shared].tolist(),
+    }
+    if interface.split.width:
+        firm, loose = [], []
+        for side, to in ((one, other), (other, one)):
+            at_nodes, at_centres = _distances(points, side, to)
+            firm += [at_nodes[~(side.is_loose | side.shared)], at_centres[~side.tapers]]
+            loose.append(at_nodes[side.is_loose & ~side.shared])
+        at_loose = np.concatenate(loose)
+        found["width_mm"] = interface.split.width
+        found["distance_mm"] = _range(np.concatenate(firm))
+        found["distance_at_rims_and_bends_mm"] = _range(at_loose) if len(at_loose) else None
+    return found
+
+
+def _range(values: Values) -> list[float]:
+    return [float(values.min()), float(values.max())] if len(values) else [0.0, 0.0]
+
+
+def _normals(points: Points, triangles: Cells) -> tuple[Points, Points]:
+    """Return the unit normals of triangles, and their angles, shape ``(m, 3)``."""
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    edges = np.roll(corners, -1, axis=1) - corners
+    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+    angles = np.arccos(np.clip(-np.einsum("mij,mij->mi", edges, np.roll(edges, 1, axis=1)), -1.0, 1.0))
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True), angles
+
+
+def _sides(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> tuple[_Side, _Side]:
+    """Return the two sides of a split interface."""
+    own = [np.isin(mesh.marks, numbers) for numbers in (interface.first, interface.second)]
+    triangles = [mesh.boundary[on] for on in own]
+    at_rim = np.unique(mesh.boundary[~(own[0] | own[1])])
+    shared = np.intersect1d(triangles[0], triangles[1])
+    found = []
+    for corners in triangles:
+        nodes = np.unique(corners)
+        normals, angles = _normals(points, corners)
+        local = np.searchsorted(nodes, corners)
+        mean = np.zeros((len(nodes), 3))
+        np.add.at(mean, local, angles[:, :, None] * normals[:, None, :])
+        mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+        cosine = np.ones(len(nodes))
+        np.minimum.at(cosine, local, np.einsum("mij,mj->mi", mean[local], normals))
+        is_loose = (cosine < _SHARP) | np.isin(nodes, at_rim)
+        found.append(
+            _Side(corners, nodes, np.isin(nodes, shared), is_loose, np.asarray(np.isin(corners, shared).any(axis=1)))
+        )
+    return found[0], found[1]
+
+
+def _distances(points: Points, side: _Side, other: _Side) -> tuple[Values, Values]:
+    """Return the distances of the nodes and of the centres of a side from the other side."""
+    at_nodes, at_centres = np.zeros(len(side.nodes)), []
+    for start in range(0, len(side.triangles), _CHUNK):
+        chunk = side.triangles[start : start + _CHUNK]
+        found = distances_both_ways(points, chunk, points, other.triangles)[0]
+        nodes = np.unique(chunk)
+        at_nodes[np.searchsorted(side.nodes, nodes)] = found[: len(nodes)]
+        at_centres.append(found[len(nodes) :])
+    return at_nodes, np.concatenate(at_centres)
+
+
+def _least(matrices: Points, right: Points) -> tuple[Points, Points]:
+    """Solve symmetric 3x3 systems in the directions that they define.
+
+    Returns the solutions, and the projections on the other directions, shape ``(n, 3, 3)``.
+    """
+    weights = np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-300)
+    values, vectors = np.linalg.eigh(matrices / weights[:, None, None])
+    is_known = values > _NOISE
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=is_known)
+    solution = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, right / weights[:, None])
+    return solution, np.einsum("nij,nj,nkj->nik", vectors, (~is_known).astype(float), vectors)
+
+
+def _directions(mesh: MarkedMesh, gaps: list[SplitInterface], nodes: Labels) -> Points:
+    """Return the vector by which each node moves, shape ``(n, 3)``."""
+    widths = np.zeros(len(mesh.marks))
+    for gap in gaps:
+        widths[np.isin(mesh.marks, gap.first + gap.second)] = gap.split.width
+    systems = []
+    for own in (widths > 0.0, widths == 0.0):
+        touching = np.flatnonzero(own)[np.isin(mesh.boundary[own], nodes).any(axis=1)]
+        corners = mesh.boundary[touching]
+        normals, angles = _normals(mesh.points, corners)
+        triangle, corner = np.nonzero(np.isin(corners, nodes))
+        at, normal = np.searchsorted(nodes, corners[triangle, corner]), normals[triangle]
+        weighted = angles[triangle, corner][:, None] * normal
+        matrices, right = np.zeros((len(nodes), 3, 3)), np.zeros((len(nodes), 3))
+        np.add.at(matrices, at, weighted[:, :, None] * normal[:, None, :])
+        np.add.at(right, at, -0.5 * widths[touching][triangle][:, None] * weighted)
+        systems.append((matrices, right))
+    vectors, free = _least(*systems[0])
+    others = systems[1][0]
+    slid = _least(free @ others @ free, -np.einsum("nij,njk,nk->ni", free, others, vectors))[0]
+    return vectors + slid
+
+
+def _moved(mesh: MarkedMesh, gaps: list[SplitInterface]) -> Points:
+    """Return the positions with open gaps."""
+    pairs = [(gap.split.width, _sides(mesh, gap, mesh.points)) for gap in gaps]
+    nodes = np.unique(np.concatenate([side.nodes for _, sides in pairs for side in sides]))
+    vectors = _directions(mesh, gaps, nodes)
+    for _, sides in pairs:
+        vectors[np.searchsorted(nodes, sides[0].nodes[sides[0].shared])] = 0.0
+    lengths, points = np.ones(len(nodes)), mesh.points.copy()
+    for _ in range(_ROUNDS):
+        points[nodes] = mesh.points[nodes] + lengths[:, None] * vectors
+        for width, (one, other) in pairs:
+            for side, to in ((one, other), (other, one)):
+                at_nodes, at_centres = _distances(points, side, to)
+                # the planes count at a sharp bend, the mean of planes and node elsewhere
+                local, kept = side.local()[~side.tapers].ravel(), at_centres[~side.tapers].repeat(3)
+                counts = np.bincount(local, minlength=len(side.nodes))
+                mean = np.bincount(local, kept, len(side.nodes)) / np.maximum(counts, 1)
+                mean = np.where(side.is_loose, mean, 0.5 * (mean + at_nodes))
+                off = np.where((counts > 0) & ~side.shared, 1.0 - mean / width, 0.0)
+                lengths[np.searchsorted(nodes, side.nodes)] += off
+        lengths = np.clip(lengths, 0.5, 2.0)
+    return _followed(mesh, nodes, points)
+
+
+def _followed(mesh: MarkedMesh, moved: Labels, points: Points) -> Points:
+    """Move the interior nodes near the gaps by the weighted mean of their neighbours."""
+    is_near = np.zeros(len(points), dtype=bool)
+    is_near[moved] = True
+    for _ in range(_LAYERS):
+        is_near[mesh.tetrahedra[is_near[mesh.tetrahedra].any(axis=1)]] = True
+    cells = mesh.tetrahedra[is_near[mesh.tetrahedra].any(axis=1)]
+    edges = np.unique(
+        np.sort(cells[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1), axis=0
+    )
+    is_near[mesh.boundary] = False
+    start, end = np.concatenate([edges, edges[:, ::-1]])[is_near[np.concatenate([edges[:, 0], edges[:, 1]])]].T
+    weights = 1.0 / np.linalg.norm(mesh.points[start] - mesh.points[end], axis=1)
+    count = len(points)
+    total = np.maximum(np.bincount(start, weights, count), 1e-300)
+    shift = points - mesh.points
+    for _ in range(_SWEEPS):
+        sums = [np.bincount(start, weights * shift[end, axis], count) / total for axis in range(3)]
+        shift = np.where(is_near[:, None], np.stack(sums, axis=1), shift)
+    result: Points = mesh.points + shift
+    return result
+
+
+def _refuse_poor(
+    mesh: MarkedMesh,
+    gaps: list[SplitInterface],
+    before: TetrahedronQuality,
+    after: TetrahedronQuality,
+    limits: Limits,
+) -> None:
+    """Refuse gaps that leave a tetrahedron inverted, or below a limit that it met."""
+    for measure, (name, what, unit) in SHAPE.items():
+        old, new, limit = getattr(before, measure), getattr(after, measure), getattr(limits, name)
+        is_poor = (after.volume <= 0.0) | ((new < limit) & (new < old))
+        if not is_poor.any():
+            continue
+        worst = int(np.where(is_poor, new, np.inf).argmin())
+        x, y, z = mesh.shown[mesh.tetrahedra[worst]].mean(axis=0)
+        region = next(row["name"] for row in mesh.table if row["region"] == mesh.regions[worst])
+        raise StageError(
+            f"{' '.join(gap.split.text for gap in gaps)}: {region} has too little room at ({x:.6g}, {y:.6g}, {z:.6g}) "
+            f"mm: the {what} of a tetrahedron falls from {old[worst]:.3g} to {new[worst]:.3g}{unit} (limit {limit:g})",
+            "the material is too thin there, or its elements are too small, for half of the gap",
+            "choose a narrower gap, larger elements, or a lower limit (--min-dihedral, --min-scaled-jacobian)",
+        )
