@@ -23,15 +23,21 @@ from tetmesh_check.surface import Surface
 
 TOLERANCE = 0.01
 """Maximum difference between the distance of the sides and the width of the gap, relative to it."""
-_SHARP = np.cos(np.radians(11.5))
-"""Cosine of the maximum angle between the normals of a node and of its triangles. Where planes are
-a distance apart and meet at a larger angle, the distance of their edges differs by more than twice
-:data:`TOLERANCE`: 1 / cos(11.5 degrees) = 1.02."""
+_SHARP = np.cos(np.radians(8.0))
+"""Cosine of the maximum angle between the normals of a node and of its triangles. At such an edge,
+the sides are 1 / cos(8 degrees) = 1.01 times as far apart as their planes, that is, half of
+:data:`TOLERANCE` above and below the mean."""
 _NOISE = 0.05
 """Normals define only those directions in which the mean square of their components is above this:
 in a fold of 13 degrees to each side, sin^2(13 degrees)."""
-_ROUNDS = 8
-"""Corrections of the lengths. The error of a ball in a shell does not change after the fifth."""
+_OBLIQUE = 0.25
+"""The same for the surfaces on which a node slides. If they meet the interface at less than 30
+degrees, sin^2 of which this is, the node leaves them: it would slide by more than the gap."""
+_ROUNDS = 40
+"""Maximum number of corrections of the lengths. They end when the largest error is below
+:data:`_GOAL`: after 2 for a ball in a shell, after 30 at the edge of a layer of cartilage."""
+_GOAL = 0.9 * TOLERANCE
+"""Error at which the corrections end."""
 _LAYERS = 4
 """Layers of elements that follow the sides."""
 _SWEEPS = 60
@@ -48,16 +54,16 @@ class _Side(NamedTuple):
     triangles: Cells
     """Outward from its material."""
     nodes: Labels
-    shared: NDArray[np.bool_]
-    """Whether each node belongs to the other side as well."""
-    is_loose: NDArray[np.bool_]
-    """Whether each node lies on the rim or on a sharp bend. Its distance may differ."""
     tapers: NDArray[np.bool_]
-    """Whether each triangle has a shared node."""
-
-    def local(self) -> Cells:
-        """Return the corners of the triangles as indices of ``nodes``."""
-        return np.searchsorted(self.nodes, self.triangles)
+    """Whether each node belongs to a triangle with a shared node, where the gap closes."""
+    local: Cells
+    """The corners of the triangles as indices of ``nodes``."""
+    is_firm: NDArray[np.bool_]
+    """Whether the distance of each node is checked: not on the rim, next to a shared node or on a
+    sharp bend."""
+    is_inner: NDArray[np.bool_]
+    """Whether the distance of the centre of each triangle is checked: it has no corner on the rim
+    or next to a shared node."""
 
 
 class Opened(NamedTuple):
@@ -119,7 +125,7 @@ def open_gaps(mesh: MarkedMesh, parts: Parts, quality: TetrahedronQuality, limit
     for interface in parts.splits:
         found = _describe(mesh, interface, points)
         if width := interface.split.width:
-            low, high = found["distance_mm"]
+            low, high = found["distance_mm"] or found["distance_at_rims_and_bends_mm"]
             off = 100.0 * max(high / width - 1.0, 1.0 - low / width)
             told = f"{low:.4g} to {high:.4g} mm"
             checks.append(check("gap_width", off, 100.0 * TOLERANCE, gap=interface.split.text, told=told))
@@ -129,8 +135,8 @@ def open_gaps(mesh: MarkedMesh, parts: Parts, quality: TetrahedronQuality, limit
 
 def _describe(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> dict[str, Any]:
     """Return the measures of a split interface for the report."""
-    one, other = _sides(mesh, interface, points)
-    shared = one.nodes[one.shared]
+    one, other = _sides(mesh, interface)
+    shared = np.intersect1d(one.nodes, other.nodes)
     found: dict[str, Any] = {
         "interface": interface.name,
         "sides": [[mesh.parts[mark] for mark in marks] for marks in (interface.first, interface.second)],
@@ -142,17 +148,14 @@ def _describe(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> di
         firm, loose = [], []
         for side, to in ((one, other), (other, one)):
             at_nodes, at_centres = _distances(points, side, to)
-            firm += [at_nodes[~(side.is_loose | side.shared)], at_centres[~side.tapers]]
-            loose.append(at_nodes[side.is_loose & ~side.shared])
-        at_loose = np.concatenate(loose)
+            for is_checked, values in ((side.is_firm, at_nodes), (side.is_inner, at_centres)):
+                firm.append(values[is_checked])
+                loose.append(values[~is_checked])
         found["width_mm"] = interface.split.width
-        found["distance_mm"] = _range(np.concatenate(firm))
-        found["distance_at_rims_and_bends_mm"] = _range(at_loose) if len(at_loose) else None
+        for key, parts in (("distance_mm", firm), ("distance_at_rims_and_bends_mm", loose)):
+            joined = np.concatenate(parts)
+            found[key] = [float(joined.min()), float(joined.max())] if len(joined) else None
     return found
-
-
-def _range(values: Values) -> list[float]:
-    return [float(values.min()), float(values.max())] if len(values) else [0.0, 0.0]
 
 
 def _normals(points: Points, triangles: Cells) -> tuple[Points, Points]:
@@ -165,8 +168,8 @@ def _normals(points: Points, triangles: Cells) -> tuple[Points, Points]:
     return normals / np.linalg.norm(normals, axis=1, keepdims=True), angles
 
 
-def _sides(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> tuple[_Side, _Side]:
-    """Return the two sides of a split interface."""
+def _sides(mesh: MarkedMesh, interface: SplitInterface) -> tuple[_Side, _Side]:
+    """Return the two sides of a split interface, before they move."""
     own = [np.isin(mesh.marks, numbers) for numbers in (interface.first, interface.second)]
     triangles = [mesh.boundary[on] for on in own]
     at_rim = np.unique(mesh.boundary[~(own[0] | own[1])])
@@ -174,16 +177,17 @@ def _sides(mesh: MarkedMesh, interface: SplitInterface, points: Points) -> tuple
     found = []
     for corners in triangles:
         nodes = np.unique(corners)
-        normals, angles = _normals(points, corners)
+        normals, angles = _normals(mesh.points, corners)
         local = np.searchsorted(nodes, corners)
         mean = np.zeros((len(nodes), 3))
         np.add.at(mean, local, angles[:, :, None] * normals[:, None, :])
         mean /= np.linalg.norm(mean, axis=1, keepdims=True)
         cosine = np.ones(len(nodes))
         np.minimum.at(cosine, local, np.einsum("mij,mj->mi", mean[local], normals))
-        is_loose = (cosine < _SHARP) | np.isin(nodes, at_rim)
+        tapers = np.isin(nodes, corners[np.isin(corners, shared).any(axis=1)])
+        is_inner = ~(tapers | np.isin(nodes, at_rim))
         found.append(
-            _Side(corners, nodes, np.isin(nodes, shared), is_loose, np.asarray(np.isin(corners, shared).any(axis=1)))
+            _Side(corners, nodes, tapers, local, is_inner & (cosine > _SHARP), np.asarray(is_inner[local].all(axis=1)))
         )
     return found[0], found[1]
 
@@ -200,16 +204,28 @@ def _distances(points: Points, side: _Side, other: _Side) -> tuple[Values, Value
     return at_nodes, np.concatenate(at_centres)
 
 
-def _least(matrices: Points, right: Points) -> tuple[Points, Points]:
-    """Solve symmetric 3x3 systems in the directions that they define.
+def _extremes(points: Points, side: _Side, other: _Side) -> tuple[Values, Values, Values]:
+    """Return the extreme checked distances at each node and its triangles, and the mean of all.
+
+    Without a checked distance, the minimum is infinite.
+    """
+    at_nodes, at_centres = _distances(points, side, other)
+    low, high = (np.where(side.is_firm, at_nodes, without) for without in (np.inf, -np.inf))
+    corners, inner = side.local[side.is_inner], at_centres[side.is_inner, None]
+    np.minimum.at(low, corners, inner)
+    np.maximum.at(high, corners, inner)
+    return low, high, np.bincount(side.local.ravel(), at_centres.repeat(3)) / np.bincount(side.local.ravel())
+
+
+def _least(matrices: Points, right: Points, least: float) -> tuple[Points, Points]:
+    """Solve symmetric 3x3 systems in the directions whose eigenvalue is above ``least``.
 
     Returns the solutions, and the projections on the other directions, shape ``(n, 3, 3)``.
     """
-    weights = np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-300)
-    values, vectors = np.linalg.eigh(matrices / weights[:, None, None])
-    is_known = values > _NOISE
+    values, vectors = np.linalg.eigh(matrices)
+    is_known = values > least
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=is_known)
-    solution = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, right / weights[:, None])
+    solution = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, right)
     return solution, np.einsum("nij,nj,nkj->nik", vectors, (~is_known).astype(float), vectors)
 
 
@@ -229,33 +245,34 @@ def _directions(mesh: MarkedMesh, gaps: list[SplitInterface], nodes: Labels) -> 
         matrices, right = np.zeros((len(nodes), 3, 3)), np.zeros((len(nodes), 3))
         np.add.at(matrices, at, weighted[:, :, None] * normal[:, None, :])
         np.add.at(right, at, -0.5 * widths[touching][triangle][:, None] * weighted)
-        systems.append((matrices, right))
-    vectors, free = _least(*systems[0])
+        weights = np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-300)[:, None]
+        systems.append((matrices / weights[:, :, None], right / weights))
+    vectors, free = _least(*systems[0], _NOISE)
     others = systems[1][0]
-    slid = _least(free @ others @ free, -np.einsum("nij,njk,nk->ni", free, others, vectors))[0]
+    slid = _least(free @ others @ free, -np.einsum("nij,njk,nk->ni", free, others, vectors), _OBLIQUE)[0]
     return vectors + slid
 
 
 def _moved(mesh: MarkedMesh, gaps: list[SplitInterface]) -> Points:
     """Return the positions with open gaps."""
-    pairs = [(gap.split.width, _sides(mesh, gap, mesh.points)) for gap in gaps]
+    pairs = [(gap.split.width, _sides(mesh, gap)) for gap in gaps]
     nodes = np.unique(np.concatenate([side.nodes for _, sides in pairs for side in sides]))
     vectors = _directions(mesh, gaps, nodes)
     for _, sides in pairs:
-        vectors[np.searchsorted(nodes, sides[0].nodes[sides[0].shared])] = 0.0
+        vectors[np.searchsorted(nodes, np.intersect1d(sides[0].nodes, sides[1].nodes))] = 0.0
     lengths, points = np.ones(len(nodes)), mesh.points.copy()
     for _ in range(_ROUNDS):
         points[nodes] = mesh.points[nodes] + lengths[:, None] * vectors
+        worst = 0.0
         for width, (one, other) in pairs:
             for side, to in ((one, other), (other, one)):
-                at_nodes, at_centres = _distances(points, side, to)
-                # the planes count at a sharp bend, the mean of planes and node elsewhere
-                local, kept = side.local()[~side.tapers].ravel(), at_centres[~side.tapers].repeat(3)
-                counts = np.bincount(local, minlength=len(side.nodes))
-                mean = np.bincount(local, kept, len(side.nodes)) / np.maximum(counts, 1)
-                mean = np.where(side.is_loose, mean, 0.5 * (mean + at_nodes))
-                off = np.where((counts > 0) & ~side.shared, 1.0 - mean / width, 0.0)
-                lengths[np.searchsorted(nodes, side.nodes)] += off
+                low, high, mean = (values / width for values in _extremes(points, side, to))
+                known = low <= high
+                worst = max(worst, (high[known] - 1.0).max(initial=0.0), (1.0 - low[known]).max(initial=0.0))
+                middle = np.where(known, 0.5 * (low + high), mean)
+                lengths[np.searchsorted(nodes, side.nodes)] += np.where(side.tapers, 0.0, 1.0 - middle)
+        if worst < _GOAL:
+            break
         lengths = np.clip(lengths, 0.5, 2.0)
     return _followed(mesh, nodes, points)
 

@@ -227,7 +227,7 @@ def _tell(found: dict[str, Any], context: Context) -> None:
     """Add a split interface to the closing table; warn of nodes that stay shared."""
     told = f"{found['doubled_nodes']:,} nodes doubled"
     if width := found.get("width_mm"):
-        low, high = found["distance_mm"]
+        low, high = found["distance_mm"] or found["distance_at_rims_and_bends_mm"]
         told += f"; gap of {width:g} mm: {low:.4g} to {high:.4g} mm"
     context.closing.append((found["interface"], told))
     if places := found["shared_nodes_mm"]:
