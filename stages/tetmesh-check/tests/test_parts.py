@@ -366,7 +366,7 @@ def test_wrong_sets_are_refused_before_the_tetrahedra(tmp_path: Path, run: Run) 
     for more, told in (
         (["--set", "inlet = caps"], "set 'inlet = caps' is empty"),
         (["--set", "inlet"], "'inlet' is not NAME = EXPRESSION"),
-        (["--set", "top = *", "--for", "simnibs"], "--set or --sets with --for simnibs"),
+        (["--set", "top = *", "--for", "simnibs"], "--set, --sets, --split or --gap with --for simnibs"),
     ):
         done = run(*words, *more)
         assert done.returncode == 2

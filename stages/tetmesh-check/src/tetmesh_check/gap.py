@@ -269,8 +269,8 @@ def _moved(mesh: MarkedMesh, gaps: list[SplitInterface]) -> Points:
                 low, high, mean = (values / width for values in _extremes(points, side, to))
                 known = low <= high
                 worst = max(worst, (high[known] - 1.0).max(initial=0.0), (1.0 - low[known]).max(initial=0.0))
-                middle = np.where(known, 0.5 * (low + high), mean)
-                lengths[np.searchsorted(nodes, side.nodes)] += np.where(side.tapers, 0.0, 1.0 - middle)
+                mean[known] = 0.5 * (low[known] + high[known])
+                lengths[np.searchsorted(nodes, side.nodes)] += np.where(side.tapers, 0.0, 1.0 - mean)
         if worst < _GOAL:
             break
         lengths = np.clip(lengths, 0.5, 2.0)

@@ -150,7 +150,7 @@ def _curve(
         curved = make_quadratic(marked, field, sides)
         mesh = split(curved.mesh, parts)
         write_volume(path, mesh, {"jacobian_bound": curved.jacobian}, context.history())
-    found = context.results["quadratic"] = {"file": path.name, **curved.results}
+    found = context.results["quadratic"] = {"file": path.name, **curved.results, "nodes": len(mesh.points)}
     nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))
     told = (
         f"{found['nodes']:,} nodes, minimum Jacobian {float(curved.jacobian.min()):.2f}; surface nodes are at most "
