@@ -52,7 +52,7 @@ def with_muscle(x: np.ndarray, _y: np.ndarray, z: np.ndarray) -> np.ndarray:
 def surface_and_mesh(
     material: Material, counts: tuple[int, int, int] = (6, 6, 4), warp: Callable[[Points], Points] = lambda at: at
 ) -> tuple[Surface, VolumeMesh]:
-    """Return a block of tetrahedra of 1 mm, bent by ``warp``, and the interfaces of its materials."""
+    """Return a block of 1 mm tetrahedra, moved by ``warp``, and the interfaces of its materials."""
     points, cells = block(counts)
     regions = np.asarray(material(*(np.floor(points[cells].mean(axis=1)) + 0.5).T))
     made = between(points, cells, regions, NAMES)
