@@ -20,7 +20,7 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.fem.solve import VolumeMesh
-from tetmesh_check.materials import Sides, conform
+from tetmesh_check.materials import NOBODY, Sides, conform
 from tetmesh_check.measures import mark
 from tetmesh_check.parts.algebra import read_definition
 from tetmesh_check.parts.find import find_parts
@@ -211,6 +211,12 @@ def test_contact_pairs_are_read_back(tmp_path: Path) -> None:
     )
     assert not np.intersect1d(first, second).size
     np.testing.assert_array_equal(at[first].mean(axis=1), at[second].mean(axis=1))
+
+
+def test_an_interface_that_lost_tetrahedra_is_not_split() -> None:
+    mesh, parts, _ = joined(plates, read_split("bone/cartilage"))
+    lost = replace(mesh, before=np.where(np.arange(len(mesh.before)) == np.argmax(mesh.before), NOBODY, mesh.before))
+    assert split(lost, parts) is lost
 
 
 def test_nothing_is_written_about_contact_without_a_split(tmp_path: Path) -> None:

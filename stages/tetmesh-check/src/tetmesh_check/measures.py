@@ -196,7 +196,7 @@ def separate(
         For the results.
     """
     result, checks = split(marked, parts), []
-    if parts.splits:
+    if result.contacts:
         with context.step("split interfaces"):
             opened = open_gaps(result, parts, filled.quality, limits)
         result, before, checks = replace(result, points=opened.points), filled.quality, opened.checks

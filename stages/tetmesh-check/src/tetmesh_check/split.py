@@ -22,7 +22,10 @@ _TURNED = [0, 2, 1, 5, 4, 3]
 
 
 def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
-    """Split the interfaces of a mesh; return the same mesh if no part has a second side.
+    """Split the interfaces of a mesh.
+
+    Returns the same mesh if no part has a second side, or if a triangle of an interface to split
+    has no tetrahedron on a side. The latter fails the check ``interfaces_kept``.
 
     Parameters
     ----------
@@ -33,9 +36,8 @@ def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
         The parts, with both sides of the split interfaces.
     """
     twins = {row.number: row.twin for row in parts.rows if row.twin}
-    there = (mesh.owners != NOBODY) & (mesh.before != NOBODY)
-    cut = np.flatnonzero(np.isin(mesh.marks, list(twins)) & there)
-    if not len(cut):
+    cut = np.flatnonzero(np.isin(mesh.marks, list(twins)))
+    if not len(cut) or (mesh.owners[cut] == NOBODY).any() or (mesh.before[cut] == NOBODY).any():
         return mesh
     elements, copied = _doubled(mesh.elements, mesh.faces[cut])
     faces, held = mesh.faces.copy(), np.flatnonzero(mesh.owners != NOBODY)
