@@ -76,6 +76,30 @@ def test_the_rim_slides_on_an_oblique_free_surface() -> None:
     assert [height.tolist() for height in heights] == [[1.9], [2.1]]
 
 
+def test_lengths_are_corrected_on_a_wavy_interface() -> None:
+    def wavy(at: Points) -> Points:
+        lift = 0.3 * np.sin(1.3 * at[:, 0]) * np.cos(1.1 * at[:, 1]) * (1.0 - np.abs(at[:, 2] - 2.0) / 2.0)
+        return at + lift[:, None] * [0.0, 0.0, 1.0]
+
+    mesh, found = opened(plates, read_gap("bone/cartilage=0.2"), warp=wavy)
+    (check,) = found.checks
+    assert check.passed
+    bone, cartilage = (corners_of(mesh, name) for name in ("bone_to_cartilage", "cartilage_to_bone"))
+    for one, other in ((bone, cartilage), (cartilage, bone)):
+        at = mesh.points[one]
+        inner = ((at[..., :2] > 0.5) & (at[..., :2] < 5.5)).all(axis=(1, 2))
+        measured = distances(found.points, one, other)[len(np.unique(one)) :]
+        np.testing.assert_allclose(measured[inner], 0.2, rtol=0.01)
+
+
+def test_interior_nodes_follow_a_wide_gap() -> None:
+    mesh, found = opened(plates, read_gap("bone/cartilage=1"))
+    # the plates have two layers of 1 mm; each loses about a quarter
+    inner = (mesh.points[:, :2] > 0.5).all(axis=1) & (mesh.points[:, :2] < 5.5).all(axis=1) & (mesh.points[:, 2] == 1.0)
+    assert len(found.points[inner]) == 25
+    np.testing.assert_allclose(found.points[inner, 2], 0.79, atol=0.05)
+
+
 def test_planes_keep_the_distance_at_a_right_angle() -> None:
     def corner(x: np.ndarray, _y: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.where((z < 2) & (x < 3), 1, 2)
