@@ -20,6 +20,7 @@ WHY = "a boundary condition on this set would apply to nothing or to the wrong t
 _KEYWORDS = ("caps", "outside", "object", *RESERVED)
 _ARRAYS = (
     "mark", "pair", "points", "triangles", "elements", "region", "region_before", "boundary", "tetrahedron", "point",
+    "apicobasal", "transmural", "rotational",
 )  # fmt: skip
 """Arrays of XDMF and VTK files, beside which sets have arrays."""
 
@@ -105,7 +106,12 @@ def refuse_taken(given: Sequence[Tag | Definition], taken: Sequence[str], names:
         used.add(one.name.lower())
 
 
-def check_early(tags: Sequence[Tag], definitions: Sequence[Definition], names: Sequence[str] | None) -> None:
+def check_early(
+    tags: Sequence[Tag],
+    definitions: Sequence[Definition],
+    names: Sequence[str] | None,
+    expressions: Sequence[Definition] = (),
+) -> None:
     """Refuse what can be refused before there is a surface: taken names and unknown materials.
 
     Parameters
@@ -114,12 +120,14 @@ def check_early(tags: Sequence[Tag], definitions: Sequence[Definition], names: S
         The tags and sets.
     names
         Names of the materials, ``outside`` first; empty for one object, ``None`` if unknown.
+    expressions
+        More sets, whose names are not in the files.
     """
     refuse_taken([*tags, *definitions], [], names or [])
     if names is None:
         return
     finder = Finder([], list(names or OBJECT_NAMES), [])
-    for definition in definitions:
+    for definition in (*definitions, *expressions):
         for name in (name for own in definition.node.leaves() if len(own) == 2 for name in own):
             if finder.material(name) is None:
                 finder.refuse(name, told(definition), finder.names, "is not a material")
