@@ -247,11 +247,11 @@ def test_wrong_interfaces_are_refused(splits: list[Split], told: str) -> None:
 
 def test_interfaces_are_checked_before_there_is_a_surface() -> None:
     materials = ["outside", "bone", "cartilage"]
-    check_early([], [], materials, [read_split("bone/cartilage")])
+    check_early([], [], materials, splits=[read_split("bone/cartilage")])
     with pytest.raises(StageError, match="'cartilag' is not a material"):
-        check_early([], [], materials, [read_gap("bone/cartilag=1")])
+        check_early([], [], materials, splits=[read_gap("bone/cartilag=1")])
     with pytest.raises(StageError, match="the surface is that of one object"):
-        check_early([], [], [], [read_split("bone/cartilage")])
+        check_early([], [], [], splits=[read_split("bone/cartilage")])
 
 
 @pytest.mark.parametrize("text", ["bone", "bone+cartilage", "bone/cartilage/x", "/bone"])

@@ -14,6 +14,7 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
 from tetmesh_check.export.profiles import PROFILES
 from tetmesh_check.fem.currents import ForwardArguments, check_names
+from tetmesh_check.fibres.arguments import FibreArguments, check_tissue
 from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
 from tetmesh_check.parts.algebra import Definition
 from tetmesh_check.parts.splits import Split
@@ -68,6 +69,8 @@ class Arguments:
     """For many materials: conductivities and the source of a current."""
     density: DensityArguments | None = None
     """Density and stiffness of the elements from a scan."""
+    fibres: FibreArguments | None = None
+    """Directions of heart muscle."""
     tags: tuple[Tag, ...] = ()
     sets: tuple[Definition, ...] = ()
     splits: tuple[Split, ...] = ()
@@ -139,6 +142,7 @@ class Arguments:
         """Refuse materials that options do not allow. An empty list means one object."""
         check_names(self.forward, names)
         check_material(self.density, names)
+        check_tissue(self.fibres, names)
         number = PROFILES[self.profile].number if self.profile else None
         if number is not None:
             number(names)
@@ -170,6 +174,7 @@ class Arguments:
             "solve": self.solve,
             **({} if self.order == 1 else {"order": self.order}),
             **({} if self.density is None else {"density": self.density.parameters()}),
+            **({} if self.fibres is None else {"fibres": self.fibres.parameters()}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
             **({} if not self.tags else {"tags": {tag.name: tag.text for tag in self.tags}}),
             **({} if not self.sets else {"sets": {one.name: one.text for one in self.sets}}),

@@ -104,7 +104,8 @@ def _check_options(known: str, words: list[str]) -> None:
     for option, path in (("--labels-volume", parsed.labels_volume), ("--density", parsed.density)):
         if path is not None and not path.exists():
             raise file_error(path, "read", FileNotFoundError("it is not there"), f"check {option}")
-    check_early(arguments.tags, arguments.sets, materials, arguments.splits)
+    fibres = arguments.fibres.sets if arguments.fibres else ()
+    check_early(arguments.tags, arguments.sets, materials, fibres, arguments.splits)
     if materials is not None:
         # the first is the outside
         arguments.check_material_names(materials[1:])
@@ -120,6 +121,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     from tetmesh_check.export.profiles import resolve
     from tetmesh_check.fem.currents import ForwardArguments
     from tetmesh_check.fem.solve import refuse_missing
+    from tetmesh_check.fibres.arguments import fibre_arguments
     from tetmesh_check.parts.algebra import read_definitions
 
     exports, space, unit = resolve(parsed.profile, parsed.exports, parsed.space, parsed.unit)
@@ -130,6 +132,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         "unit": unit,
         "limits": Limits(**{field.name: getattr(parsed, field.name) for field in fields(Limits)}),
         "density": density_arguments(vars(parsed)),
+        "fibres": fibre_arguments(vars(parsed)),
         "forward": ForwardArguments(dict(parsed.conductivity), *(parsed.source or ())),
         "tags": tuple(parsed.tags),
         "sets": (*(read_definitions(parsed.sets_file) if parsed.sets_file else ()), *parsed.sets),
@@ -137,7 +140,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()
-    refuse_missing(arguments.solve, arguments.forward.source)
+    refuse_missing(arguments.solve, arguments.forward.source, arguments.fibres is not None)
     return arguments
 
 

@@ -17,7 +17,7 @@ from isoparticles._native import VERSION, number_of_bytes
 
 from tetmesh_check.density.laws import read_calibration, read_law
 from tetmesh_check.errors import StageError, close
-from tetmesh_check.parts.algebra import read_definition
+from tetmesh_check.parts.algebra import Definition, read_definition, read_expression
 from tetmesh_check.parts.splits import read_gap, read_split
 from tetmesh_check.parts.tags import read_tag
 
@@ -145,6 +145,21 @@ def _told(read: Callable[[str], Any]) -> Callable[[str], Any]:
     return told
 
 
+def _numbers(count: int, form: str, limit: float) -> Callable[[str], tuple[float, ...]]:
+    """Return a reader of numbers, separated by commas, of at most this magnitude."""
+
+    def numbers(text: str) -> tuple[float, ...]:
+        try:
+            found = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            found = ()
+        if len(found) != count or not all(math.isfinite(one) and abs(one) <= limit for one in found):
+            raise argparse.ArgumentTypeError(f"'{text}' is not {form}")
+        return found
+
+    return numbers
+
+
 _READERS: dict[str, Callable[[str], Any]] = {
     "path": Path,
     "int": int,
@@ -155,6 +170,9 @@ _READERS: dict[str, Callable[[str], Any]] = {
     "calibration": read_calibration,
     "law": read_law,
     "tag": _told(read_tag),
+    "expression": _told(lambda text: Definition("", text.strip(), read_expression(text))),
+    "point": _numbers(3, "X,Y,Z", math.inf),
+    "angles": _numbers(2, "ENDO,EPI in degrees, -90 to 90", 90.0),
     "set": _told(read_definition),
     "split": _told(read_split),
     "gap": _told(read_gap),

@@ -18,6 +18,7 @@ from tetmesh_check.export.profiles import renumbered
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.currents import Forward
 from tetmesh_check.fem.solve import solve_on
+from tetmesh_check.fibres.arguments import find_boundaries
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
 from tetmesh_check.gap import refuse_wide
@@ -210,6 +211,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         surface, sizing, field, labels, border = _read(arguments, context)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
     parts = _parts(arguments, surface, border, context)
+    boundaries = None if arguments.fibres is None else find_boundaries(arguments.fibres, parts, surface)
     scan = None
     if arguments.density is not None:
         with context.step("read density"):
@@ -222,6 +224,12 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     if scan is not None:
         with context.step("map density"):
             marked = map_density(scan, marked, mesh.volumes, context)
+    if arguments.fibres is not None and boundaries is not None:
+        # SciPy and scikit-fem may be missing without this option
+        from tetmesh_check.fibres.mapping import map_fibres
+
+        with context.step("fibres"):
+            marked = map_fibres(arguments.fibres, boundaries, marked, context)
     joined = marked
     marked, filled, checks = separate(joined, filled, parts, arguments.limits, context)
     with context.step("write"):

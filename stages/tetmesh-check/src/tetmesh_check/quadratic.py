@@ -79,6 +79,7 @@ def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None =
         points=np.concatenate([mesh.points, found["nodes"]]),
         elements=np.column_stack([mesh.tetrahedra, found["of_cells"] + count]),
         faces=np.column_stack([mesh.boundary, found["of_triangles"] + count]),
+        point_fields={},
     )
     zero = "F = 0" if sides is None else "their interface"
     checks = [

@@ -48,6 +48,7 @@ def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
     return replace(
         mesh,
         points=np.concatenate([mesh.points, mesh.points[copied]]),
+        point_fields={name: np.append(values, values[copied]) for name, values in mesh.point_fields.items()},
         elements=elements,
         faces=np.concatenate([faces, others[:, _TURNED[: faces.shape[1]]]]),
         owners=np.concatenate([mesh.owners, mesh.before[cut]]),

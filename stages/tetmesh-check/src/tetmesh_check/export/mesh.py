@@ -118,7 +118,9 @@ class MarkedMesh:
     space: str | None = None
     """World frame of the files: lps, ras, or ``None`` if the frame of ``points`` is unknown."""
     fields: dict[str, Values] = field(default_factory=dict)
-    """More values of each tetrahedron, by name, shape ``(m,)``."""
+    """More values of each tetrahedron, by name, shape ``(m,)`` or ``(m, 3)``."""
+    point_fields: dict[str, Values] = field(default_factory=dict)
+    """Values of each point, by name, shape ``(n,)``; empty for quadratic elements."""
     cards: list[Card] = field(default_factory=list)
     """Materials of the regions whose stiffness is known."""
 

@@ -54,7 +54,7 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
         A ``.vtu`` file.
     mesh
         The mesh. Points are written in double precision, regions and fields as cell data, and marks
-        of points as point data. The table of many materials is the text ``materials``.
+        and fields of points as point data. The table of many materials is the text ``materials``.
     measures
         Measures of the elements by name: those of :class:`.TetrahedronQuality`, or
         ``jacobian_bound``, the lower bound of each quadratic element's Jacobian over that of the
@@ -65,6 +65,7 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     grid = _grid(mesh, mesh.shown)
     grid.cell_data.update({name: measures[name] for name in _MEASURES if name in measures})
     grid.cell_data.update(mesh.fields)
+    grid.point_data.update(mesh.point_fields)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
     add_text(grid, "isoparticles_kind", "quadratic volume" if mesh.is_quadratic else "volume")
@@ -89,11 +90,14 @@ def _save(writer: Any, grid: pv.UnstructuredGrid, path: Path) -> None:
 
 
 def write_legacy(mesh: MarkedMesh, path: Path) -> None:
-    """Write legacy VTK 4.2, binary, with cell data ``region`` and point data ``boundary``.
+    """Write legacy VTK 4.2, binary, with ``region`` and fields as cell data.
 
-    For each union, there is a point array that is 1 on its triangles.
+    Point data are the fields of points, ``boundary`` (the marks), and for each union an array that
+    is 1 on its triangles.
     """
     grid = _grid(mesh, mesh.points)
+    grid.cell_data.update(mesh.fields)
+    grid.point_data.update(mesh.point_fields)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
     for own in mesh.union_sets:

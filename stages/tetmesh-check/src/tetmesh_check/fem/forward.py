@@ -30,7 +30,8 @@ DEFAULT_CONDUCTIVITY = 1.0
 
 
 _CONDUCTION = BilinearForm(lambda u, v, w: w.sigma * dot(grad(u), grad(v)))
-_FLOW = LinearForm(lambda v, w: dot(w.current, grad(v)))
+FLOW = LinearForm(lambda v, w: dot(w.current, grad(v)))
+"""Flow of a vector field, given at the centroids, into each point."""
 
 
 def potential_of(
@@ -58,7 +59,7 @@ def potential_of(
     """
     # S/m times mV/mm is uA/mm^2
     matrix = _CONDUCTION.assemble(basis, sigma=sigma[:, None])
-    right_side = _FLOW.assemble(basis, current=impressed)
+    right_side = FLOW.assemble(basis, current=impressed)
     potential, part, figures = solve_floating(matrix, right_side, deadline)
     volumes, of_tetrahedron = basis.dx[:, 0], part[basis.mesh.t[0]]
     integrals = np.bincount(of_tetrahedron, volumes * potential[basis.mesh.t].mean(axis=0))
@@ -70,7 +71,7 @@ def _crossing(basis: Basis, current: Values, problem: Forward) -> Any:
     """Return currents, uA, from each material (row) into the vertices of its surface (column)."""
     sides, regions, triangles = problem.sides, problem.found.regions, problem.triangles
     shape = (len(sides.table), basis.N)
-    shares = _FLOW.elemental(basis, current=current).tolocal()
+    shares = FLOW.elemental(basis, current=current).tolocal()
     corners = (np.repeat(regions, 4), basis.mesh.t.T.ravel())
     around = (np.repeat(np.concatenate([sides.inside, sides.outside]), 3), np.tile(triangles.ravel(), 2))
     touched = csr_array((np.ones(len(around[0])), around), shape=shape) > 0

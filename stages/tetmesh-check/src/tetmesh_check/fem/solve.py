@@ -47,19 +47,21 @@ def _missing() -> str:
     return " and ".join(name for module, name in _PACKAGES.items() if find_spec(module) is None)
 
 
-def refuse_missing(mode: str, source: str | None) -> None:
+def refuse_missing(mode: str, source: str | None, fibres: bool) -> None:
     """Refuse an explicit request for a solution without the packages that compute it.
 
     Parameters
     ----------
     mode, source
         The values of ``--solve``, and of ``--source`` if given.
+    fibres
+        Whether ``--fibres`` is given.
     """
-    asked = mode == "yes" or (mode == "auto" and source is not None)
+    asked = fibres or mode == "yes" or (mode == "auto" and source is not None)
     if asked and (missing := _missing()):
         raise StageError(
             f"{missing}: not installed",
-            "--solve yes and --source solve problems on the tetrahedra with these packages",
+            "--solve yes, --source and --fibres solve problems on the tetrahedra with these packages",
             f"{_INSTALL}, or leave out these options",
         )
 

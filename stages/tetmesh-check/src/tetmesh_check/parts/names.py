@@ -22,6 +22,7 @@ WHY = "a boundary condition or contact there would apply to nothing or to the wr
 _KEYWORDS = ("caps", "outside", "object", *RESERVED)
 _ARRAYS = (
     "mark", "pair", "points", "triangles", "elements", "region", "region_before", "boundary", "tetrahedron", "point",
+    "apicobasal", "transmural", "rotational",
 )  # fmt: skip
 """Arrays of XDMF and VTK files, beside which sets have arrays."""
 
@@ -122,7 +123,11 @@ def refuse_taken(given: Sequence[Tag | Definition], taken: Sequence[str], names:
 
 
 def check_early(
-    tags: Sequence[Tag], definitions: Sequence[Definition], names: Sequence[str] | None, splits: Sequence[Split] = ()
+    tags: Sequence[Tag],
+    definitions: Sequence[Definition],
+    names: Sequence[str] | None,
+    expressions: Sequence[Definition] = (),
+    splits: Sequence[Split] = (),
 ) -> None:
     """Refuse what can be refused before there is a surface: taken names and unknown materials.
 
@@ -132,6 +137,8 @@ def check_early(
         The tags and sets.
     names
         Names of the materials, ``outside`` first; empty for one object, ``None`` if unknown.
+    expressions
+        More sets, whose names are not in the files.
     splits
         The interfaces to split.
     """
@@ -141,7 +148,7 @@ def check_early(
     finder = Finder([], list(names or OBJECT_NAMES), [])
     for split in splits:
         finder.check_interface(split)
-    for definition in definitions:
+    for definition in (*definitions, *expressions):
         for name in (name for own in definition.node.leaves() if len(own) == 2 for name in own):
             if finder.material(name) is None:
                 finder.refuse(name, told(definition), finder.names, "is not a material")

@@ -1,0 +1,199 @@
+"""Maps fibres and coordinates onto the tetrahedra of a muscle, by Laplace's equation.
+
+Inputs are the sets of boundary triangles of the options. Outputs are the cell fields ``fibre``,
+``sheet`` and ``sheet_normal`` (:mod:`.rule`), and the point fields ``apicobasal``, ``transmural``
+and ``rotational``, after the universal ventricular coordinates of Bayer et al. (Med Image Anal
+45:83-93, 2018).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from isoparticles._native import Context
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from skfem import MeshTet, condense
+from skfem.models.poisson import laplace
+
+from tetmesh_check.errors import StageError
+from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.fem.assembly import linear_elements
+from tetmesh_check.fem.forward import FLOW
+from tetmesh_check.fem.solver import solve
+from tetmesh_check.fibres.arguments import WHY, FibreArguments
+from tetmesh_check.fibres.rule import Harmonic, directions, unit
+from tetmesh_check.parts.algebra import Members
+from tetmesh_check.quality import Labels, Points, Values, signed_tetrahedron_volumes, triangle_quality
+
+_UNSOLVED = (
+    "--fibres: Laplace's equation cannot be solved",
+    "some tetrahedra are inverted or flat",
+    "improve the surface; without --fibres, the report lists these tetrahedra",
+)
+
+
+class _Muscle(NamedTuple):
+    """Connected tetrahedra of the muscle, as a mesh of its own."""
+
+    cells: Labels
+    """Its tetrahedra in the whole mesh."""
+    points: Labels
+    """Its points in the whole mesh."""
+    basis: Any
+    """Linear elements on it."""
+    matrix: Any
+    """Matrix of Laplace's equation."""
+    nodes: dict[str, Labels]
+    """Its points on each boundary."""
+    centres: dict[str, Points]
+    """Centre of each boundary, mm."""
+
+
+def _muscle(mesh: MarkedMesh, own: Labels, members: Mapping[str, Members]) -> _Muscle:
+    """Return the largest connected piece of some tetrahedra, in the frame of the output."""
+    if signed_tetrahedron_volumes(mesh.points, mesh.tetrahedra[own]).min() <= 0.0:
+        raise StageError(*_UNSOLVED)
+    points, local = np.unique(mesh.tetrahedra[own], return_inverse=True)
+    corners = np.ascontiguousarray(local.reshape(-1, 4).T)
+    basis = linear_elements(MeshTet(np.ascontiguousarray(mesh.shown[points].T), corners))
+    matrix = laplace.assemble(basis)
+    piece = connected_components(matrix, directed=False)[1][corners[0]]
+    kept = piece == np.bincount(piece).argmax()
+    if not kept.all():
+        return _muscle(mesh, own[kept], members)
+    nodes, centres = {}, {}
+    for name, marks in members.items():
+        triangles = mesh.boundary[np.isin(mesh.marks, sorted(marks))]
+        triangles = triangles[np.isin(triangles, points).all(axis=1)]
+        if not len(triangles):
+            raise StageError(f"the tetrahedra of the muscle have no triangle of '{name}'", WHY, "use --method hxt")
+        nodes[name] = np.searchsorted(points, np.unique(triangles))
+        areas = triangle_quality(mesh.shown, triangles).area
+        centres[name] = np.average(mesh.shown[triangles].mean(axis=1), axis=0, weights=areas)
+    return _Muscle(own, points, basis, matrix, nodes, centres)
+
+
+def _solve(muscle: _Muscle, ends: Sequence[tuple[Labels, float]], load: Values | float = 0.0) -> Values:
+    """Return the solution of Laplace's equation with given values at some points, and a load."""
+    values = np.zeros(len(muscle.points))
+    for nodes, value in ends:
+        values[nodes] = value
+    fixed = np.unique(np.concatenate([nodes for nodes, _ in ends]))
+    matrix, right_side, _, free = condense(muscle.matrix, load + np.zeros_like(values), x=values, D=fixed)
+    values[free], figures = solve(matrix, right_side, math.inf)
+    if not figures["multigrid"]["converged"]:
+        raise StageError(*_UNSOLVED)
+    return values
+
+
+def _harmonic(muscle: _Muscle, values: Values) -> Harmonic:
+    """Return values and gradients at the centroids.
+
+    The gradients are means of those at the points. These are nearer to the exact ones than the
+    gradient of a linear element, which is zero if all its points are on one boundary.
+    """
+    corners, volumes = muscle.basis.mesh.t, muscle.basis.dx[:, 0]
+    around = np.bincount(corners.ravel(), np.tile(volumes, 4))
+    gradients = [
+        (np.bincount(corners.ravel(), np.tile(volumes * component, 4)) / around)[corners].mean(axis=0)
+        for component in muscle.basis.interpolate(values).grad[:, :, 0]
+    ]
+    return Harmonic(values[corners].mean(axis=0), np.column_stack(gradients))
+
+
+def _apicobasal(muscle: _Muscle, up: Points, apex: Labels) -> Values:
+    """Return the distance from the apex over the sum of the distances from apex and base.
+
+    Distances are lengths along the apicobasal directions, in the least-squares sense: the gradient
+    of a distance is the unit vector of the direction. The harmonic function itself is no
+    coordinate, because it depends on the size of the tetrahedra at the apex, a single point.
+    """
+    load = FLOW.assemble(muscle.basis, current=unit(up).T[:, :, None])
+    below, above = (
+        np.maximum(_solve(muscle, [(nodes, 0.0)], sign * load), 0.0)
+        for nodes, sign in ((apex, 1.0), (muscle.nodes["base"], -1.0))
+    )
+    return np.asarray(below / (below + above))
+
+
+def _rotational(muscle: _Muscle, apex: Points) -> Values:
+    """Return angles about the axis from the apex to the centre of the base, degrees, -180 to 180.
+
+    The zero points to the right ventricle. Without ``endo_rv``, it is the x axis, or the y axis if
+    x is nearly parallel to the axis.
+    """
+    axis = muscle.centres["base"] - apex
+    axis /= np.linalg.norm(axis)
+    zero = muscle.centres["endo_rv"] - apex if "endo_rv" in muscle.centres else np.eye(3)[int(abs(axis[0]) > 0.9)]
+    zero = zero - (zero @ axis) * axis
+    out = muscle.basis.mesh.p.T - apex
+    return np.asarray(np.degrees(np.arctan2(out @ np.cross(axis, zero), out @ zero)))
+
+
+def map_fibres(
+    arguments: FibreArguments, members: Mapping[str, Members], mesh: MarkedMesh, context: Context
+) -> MarkedMesh:
+    """Return the mesh with the fields of the module's description.
+
+    Vectors are zero and coordinates NaN outside the largest connected piece of the muscle.
+
+    Parameters
+    ----------
+    arguments
+        The options.
+    members
+        See :func:`.find_boundaries`.
+    mesh
+        Straight tetrahedra.
+    context
+        For the results and warnings.
+
+    Raises
+    ------
+    StageError
+        If a boundary has no triangle there.
+    """
+    number = next((row["region"] for row in mesh.table if row["material"] == arguments.material), None)
+    own = np.flatnonzero(np.ones(len(mesh.regions), dtype=bool) if mesh.materials is None else mesh.regions == number)
+    muscle = _muscle(mesh, own, members)
+    if lost := len(own) - len(muscle.cells):
+        context.warn(f"{lost} tetrahedra of {arguments.material} are not connected to the rest and get no fibres")
+    points, nodes = muscle.basis.mesh.p.T, muscle.nodes
+    if arguments.apex is None:
+        away, _ = KDTree(points[nodes["base"]]).query(points[nodes["epi"]])
+        apex = nodes["epi"][[away.argmax()]]
+    else:
+        away = np.linalg.norm(points - arguments.apex, axis=1)
+        away[nodes["base"]] = np.inf
+        apex = away.argmin(keepdims=True)
+    endo = np.concatenate([nodes[name] for name in ("endo", "endo_rv") if name in nodes])
+    up = _harmonic(muscle, _solve(muscle, [(nodes["base"], 1.0), (apex, 0.0)]))
+    transmural = _solve(muscle, [(endo, 0.0), (nodes["epi"], 1.0)])
+    rv = None
+    if "endo_rv" in nodes:
+        left = np.concatenate([nodes["endo"], nodes["epi"]])
+        rv = _harmonic(muscle, _solve(muscle, [(left, 0.0), (nodes["endo_rv"], 1.0)]))
+    helix, helix_rv = arguments.helix, arguments.helix_rv or arguments.helix
+    vectors = directions(up, _harmonic(muscle, transmural), rv, helix, arguments.sheet, helix_rv)
+    fields = {name: np.zeros((len(mesh.regions), 3)) for name in ("fibre", "sheet", "sheet_normal")}
+    for field, found in zip(fields.values(), vectors, strict=True):
+        field[muscle.cells] = found
+    coordinates = {
+        "apicobasal": _apicobasal(muscle, up.gradients, apex),
+        "transmural": transmural,
+        "rotational": _rotational(muscle, points[apex[0]]),
+    }
+    at_points = {name: np.full(len(mesh.points), np.nan) for name in coordinates}
+    for name, found in coordinates.items():
+        at_points[name][muscle.points] = found
+    context.results["fibres"] = {
+        **arguments.parameters(), "apex": points[apex[0]].tolist(), "tetrahedra": len(muscle.cells), "not_connected": lost,
+    }  # fmt: skip
+    place = ", ".join(f"{x:.4g}" for x in points[apex[0]])
+    context.closing.append(("fibres", f"{len(muscle.cells):,} tetrahedra, apex at ({place})"))
+    return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)

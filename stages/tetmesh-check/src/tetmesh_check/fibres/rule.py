@@ -1,0 +1,136 @@
+"""The rule of Bayer et al. for the directions of heart muscle (Ann Biomed Eng 40:2243-2254, 2012).
+
+Inputs are the values and gradients of harmonic functions in each element: ``along`` is 0 at the
+apex and 1 at the base; ``lv``, ``rv`` and ``epi`` are 1 at the endocardium of the left and the
+right ventricle and at the epicardium, and 0 at the other two. Outputs are orthonormal vectors:
+fibre, sheet (within the sheet, across the fibre) and sheet normal.
+
+One formula differs from the paper. There, the angles of the endocardial frame do not depend on
+``epi``, so that in a free wall the helix angle follows the square of ``epi``, and jumps if its ends
+differ by more than 90 degrees. Here, they follow ``epi`` as those of the epicardial frame do. In a
+free wall the angle is then linear in ``epi``, for any ends. In the septum the rule is the same.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tetmesh_check.fibres.arguments import Angles
+from tetmesh_check.quality import Points, Values
+
+_PARALLEL = 1e-6
+"""Minimum sine of the angle between two directions that define a frame. Below it, such as on the
+axis of the apex, the frame is arbitrary; rounding errors of the gradients are smaller."""
+_ON_EPICARDIUM = 1e-6
+"""1 - ``epi`` of an element whose points are all on the epicardium. The solver's error is 1e-10."""
+_FLIPS = Rotation.from_quat(np.eye(4))
+"""Half turns about the three axes, and no turn. They change only the signs of the vectors."""
+
+
+class Harmonic(NamedTuple):
+    """A harmonic function at the centroids of the elements."""
+
+    values: Values
+    gradients: Points
+
+
+def unit(vectors: Points) -> Points:
+    """Return vectors of length 1 with the same directions; zero vectors remain."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
+
+
+def frames(along: Points, across: Points) -> Rotation:
+    """Return frames whose columns are the circumferential, apicobasal and transmural directions.
+
+    Parameters
+    ----------
+    along
+        The apicobasal directions, of any length, shape ``(m, 3)``.
+    across
+        The transmural directions. The frame contains their part that is orthogonal to ``along``.
+    """
+    up, out = unit(along), unit(across)
+    out = out - np.einsum("ij,ij->i", out, up)[:, None] * up
+    lost = np.linalg.norm(out, axis=1) < _PARALLEL
+    least = np.eye(3)[np.abs(up[lost]).argmin(axis=1)]
+    up[lost & ~up.any(axis=1)] = [0.0, 0.0, 1.0]
+    out[lost] = np.cross(up[lost], least)
+    out = unit(out)
+    return Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=2))
+
+
+def oriented(frame: Rotation, helix: Values, sheet: Values) -> Rotation:
+    """Turn frames by the helix angle about the third axis, then by the sheet angle about the fibre.
+
+    Parameters
+    ----------
+    frame
+        The frames.
+    helix, sheet
+        Angles, degrees, shape ``(m,)``.
+    """
+    return frame * Rotation.from_euler("ZX", np.column_stack([helix, -sheet]), degrees=True)
+
+
+def bislerp(first: Rotation, second: Rotation, share: Values) -> Rotation:
+    """Interpolate frames along the shortest rotation, where signs of vectors do not count.
+
+    Parameters
+    ----------
+    first, second
+        The frames for the shares 0 and 1.
+    share
+        From 0 to 1, shape ``(m,)``.
+    """
+    angles = [((first * flip).inv() * second).magnitude() for flip in _FLIPS]
+    start = first * _FLIPS[np.argmin(angles, axis=0)]
+    return start * Rotation.from_rotvec(share[:, None] * (start.inv() * second).as_rotvec())
+
+
+def _share(epi: Harmonic, rv: Harmonic) -> Values:
+    """Return the share of the right ventricle: rv / (lv + rv), and its limit at the epicardium."""
+    slope = np.einsum("ij,ij->i", epi.gradients, epi.gradients)
+    limit = -np.einsum("ij,ij->i", rv.gradients, epi.gradients) / np.maximum(slope, 1e-300)
+    inner = 1.0 - epi.values
+    return np.clip(np.where(inner > _ON_EPICARDIUM, rv.values / np.maximum(inner, _ON_EPICARDIUM), limit), 0.0, 1.0)
+
+
+def directions(
+    along: Harmonic,
+    epi: Harmonic,
+    rv: Harmonic | None,
+    helix: Angles,
+    sheet: Angles,
+    helix_rv: Angles,
+) -> tuple[Points, Points, Points]:
+    """Return fibre, sheet and normal of each element, shape ``(m, 3)`` each.
+
+    Parameters
+    ----------
+    along, epi, rv
+        The harmonic functions of the module's description; ``rv`` is ``None`` for one ventricle.
+        The values of ``lv`` are 1 - ``epi`` - ``rv``.
+    helix, sheet
+        The angles, in the left or only ventricle.
+    helix_rv
+        The helix angles of the right ventricle, which has the same sheet angles.
+    """
+    left, right = (
+        np.stack([ends[0] + (ends[1] - ends[0]) * epi.values for ends in (own, sheet)]) for own in (helix, helix_rv)
+    )
+    transmural = frames(along.gradients, epi.gradients)
+    if rv is None:
+        found = oriented(transmural, *left)
+    else:
+        from_lv = epi.gradients + rv.gradients
+        share = _share(epi, rv)
+        # the frames of the septum point from left to right, out of one ventricle and into the other
+        septal = (1.0 - share) * left - share * right
+        first, second = (oriented(frames(along.gradients, across), *septal) for across in (from_lv, rv.gradients))
+        outer = oriented(transmural, *((1.0 - share) * left + share * right))
+        found = bislerp(bislerp(first, second, share), outer, np.clip(epi.values, 0.0, 1.0))
+    vectors = found.as_matrix()
+    return vectors[:, :, 0], vectors[:, :, 2], vectors[:, :, 1]
