@@ -199,7 +199,7 @@ def test_a_given_apex_is_the_nearest_point_off_the_base() -> None:
         map_fibres(FibreArguments("object", (), place, HELIX, HELIX), SETS, mesh, context)
         points = mesh.points[mesh.points[:, 2] < -1e-9]
         nearest = points[np.linalg.norm(points - place, axis=1).argmin()]
-        np.testing.assert_allclose(context.results["fibres"]["apex"], nearest)
+        np.testing.assert_allclose(context.results["fibres"]["apex_mm"], nearest)
 
 
 def test_separate_pieces_get_no_fibres() -> None:
@@ -211,6 +211,54 @@ def test_separate_pieces_get_no_fibres() -> None:
     np.testing.assert_array_equal(found.fields["fibre"][-1], 0.0)
     assert np.linalg.norm(found.fields["fibre"][:-1], axis=1).min() > 0.999
     assert np.isnan(found.point_fields["transmural"][-4:]).all()
+
+
+def with_flap(jitter: float) -> MarkedMesh:
+    """Return a half-ellipsoid with a flap of five tetrahedra on its base."""
+    mesh, random = half_ellipsoid(2), np.random.default_rng(1)
+    on_base = np.flatnonzero(mesh.marks == BASE)
+    corners = mesh.boundary[on_base[0]]
+    first = len(mesh.points)
+    tip = mesh.points[corners].mean(axis=0) + np.array([0.0, 0.0, 3.0])
+    # the first tetrahedron shares nodes with the wall; the four others do not
+    points = np.vstack([mesh.points, tip, tip + np.eye(3), tip + 1.0 + np.eye(3)])
+    points[first:] += jitter * random.standard_normal((7, 3))
+    chain = [[*corners, first], *([first + k, first + k + 1, first + k + 2, first + k + 3] for k in range(4))]
+    cells = np.vstack([mesh.elements, np.array(chain)])
+    flat = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0.0
+    cells[flat] = cells[flat][:, [0, 2, 1, 3]]
+    outside = tetrahedron_boundary(cells)
+    kept = {tuple(sorted(face)): mark for face, mark in zip(mesh.boundary.tolist(), mesh.marks.tolist(), strict=True)}
+    marks = np.array([kept.get(tuple(sorted(face)), BASE) for face in outside.triangles.tolist()])
+    return object_mesh(points, cells, np.ones(len(cells), dtype=np.int64), outside, marks)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_a_flap_on_the_base_gets_arbitrary_fibres_and_a_warning(
+    jitter: float, capfd: pytest.CaptureFixture[str]
+) -> None:
+    mesh, context = with_flap(jitter), quiet_context()
+    found = map_fibres(FibreArguments("object", (), None, HELIX, HELIX), SETS, mesh, context)
+    assert_orthonormal(found)
+    assert context.results["fibres"]["arbitrary"] > 0
+    assert "get arbitrary fibres" in capfd.readouterr().err
+    assert not np.isnan(found.point_fields["apicobasal"]).any()
+    np.testing.assert_array_equal(found.point_fields["apicobasal"][np.unique(mesh.boundary[mesh.marks == BASE])], 1.0)
+
+
+def test_a_muscle_without_tetrahedra_is_left_to_the_checks(capfd: pytest.CaptureFixture[str]) -> None:
+    mesh = replace(half_ellipsoid(2), materials=[{"name": "outside"}, {"name": "wall"}])
+    assert map_fibres(FibreArguments("wall", (), None, HELIX, HELIX), SETS, mesh, quiet_context()) is mesh
+    assert "wall has no tetrahedra" in capfd.readouterr().err
+
+
+def test_a_boundary_on_a_smaller_piece_only_is_refused() -> None:
+    mesh = half_ellipsoid(2)
+    with pytest.raises(
+        StageError, match=r"piece of object \(\d+ of \d+ tetrahedra\) has no triangle of --endo-rv"
+    ) as caught:
+        mapped(mesh, {**SETS, "endo_rv": frozenset([9])})
+    assert "remove small pieces from the labels" in caught.value.next
 
 
 def test_inverted_tetrahedra_are_refused() -> None:
@@ -443,9 +491,9 @@ WRONG = [
     ([*FIBRES, "--helix-rv", "90,-25"], "--helix-rv without --endo-rv"),
     ([*FIBRES, "--apex", "1,2"], "'1,2' is not X,Y,Z"),
     ([*FIBRES[:3], "inner -", *FIBRES[4:]], "'inner -' ends where a name is expected"),
-    ([*FIBRES[:3], "iner", *FIBRES[4:]], "set 'endo = iner': 'iner' is not the name of a part"),
-    ([*FIBRES[:3], "inner & caps", *FIBRES[4:]], "set 'endo = inner & caps' does not touch object"),
-    ([*FIBRES[:5], "outside - lid", *FIBRES[6:]], "set 'epi = outside - lid' and 'endo' share inner"),
+    ([*FIBRES[:3], "iner", *FIBRES[4:]], "--endo iner: 'iner' is not the name of a part"),
+    ([*FIBRES[:3], "inner & caps", *FIBRES[4:]], "--endo inner & caps does not touch object"),
+    ([*FIBRES[:5], "outside - lid", *FIBRES[6:]], "--epi outside - lid and --endo share inner"),
     (["--fibres", "wall", *FIBRES[2:]], "--fibres wall: there is no such material"),
     ([*FIBRES, "--apex", "90,0,0"], "--apex 90,0,0 is "),
 ]
@@ -469,9 +517,9 @@ def test_a_boundary_of_another_material_is_refused(tmp_path: Path, run: Run) -> 
     words = ["--fibres", "wall", "--endo", "wall/blood", "--epi", "skin/outside", "--base", "wall/skin"]
     done = run("s.vtp", "-o", "v.vtu", *words)
     assert done.returncode == 2
-    assert "set 'epi = skin/outside' does not touch wall" in done.stderr
+    assert "--epi skin/outside does not touch wall" in done.stderr
     assert "the parts of its boundary are wall_to_skin, blood_to_wall" in done.stderr
     known = json.dumps({"materials": ["outside", "skin", "wall", "blood"], "volume": True})
     early = run("--check-options", known, "s.vtp", "-o", "v.vtu", *words[:3], "walls/blood", *words[4:])
     assert early.returncode == 2
-    assert "set 'endo = walls/blood': 'walls' is not a material" in early.stderr
+    assert "--endo walls/blood: 'walls' is not a material" in early.stderr

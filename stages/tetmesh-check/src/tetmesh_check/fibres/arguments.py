@@ -11,7 +11,7 @@ import numpy as np
 from tetmesh_check.errors import StageError
 from tetmesh_check.parts.algebra import Definition, Members
 from tetmesh_check.parts.model import Parts
-from tetmesh_check.parts.names import OBJECT_NAMES, Finder, told
+from tetmesh_check.parts.names import OBJECT_NAMES, Finder, option_name, told_option
 from tetmesh_check.surface import Surface
 
 Angles = tuple[float, float]
@@ -19,9 +19,9 @@ Angles = tuple[float, float]
 DEFAULT_HELIX: Angles = (40.0, -50.0)
 DEFAULT_SHEET: Angles = (-65.0, 25.0)
 """Both are the angles of Bayer et al. 2012, for the hearts of dogs."""
-FARTHEST = 0.1
+MAX_APEX_DISTANCE = 0.1
 """Maximum distance of ``--apex`` from the boundary of the muscle, relative to the diagonal of the
-bounding box of the surface. The wall of a heart is thinner."""
+bounding box of the muscle. The wall of a heart is thinner."""
 WHY = "fibres follow from harmonic functions with different values on these boundaries"
 """Why the boundaries matter."""
 _OPTIONS = ("endo", "endo_rv", "epi", "base", "apex", "helix", "sheet", "helix_rv")
@@ -62,9 +62,9 @@ def fibre_arguments(given: Mapping[str, Any]) -> FibreArguments | None:
     Raises
     ------
     StageError
-        If options are given that need each other.
+        If an option lacks another one that it needs.
     """
-    names = {name: f"--{name.replace('_', '-')}" for name in _OPTIONS}
+    names = {name: option_name(name) for name in _OPTIONS}
     if given["fibres"] is None:
         if alone := [option for name, option in names.items() if given[name] is not None]:
             raise StageError(
@@ -134,20 +134,22 @@ def find_boundaries(arguments: FibreArguments, parts: Parts, surface: Surface) -
     known = f"the parts of its boundary are {', '.join(names[mark] for mark in sorted(touching))}"
     found: dict[str, Members] = {}
     for own in arguments.sets:
-        members = find.evaluate(own.node, told(own)) & touching
+        option = told_option(own)
+        members = find.evaluate(own.node, option) & touching
         # fibres are made before interfaces are split, when the sides are one part
         members |= {row.twin for row in parts.rows if row.twin and row.number in members}
         if not members:
-            raise StageError(f"{told(own)} does not touch {arguments.material}", WHY, known)
+            raise StageError(f"{option} does not touch {arguments.material}", WHY, known)
         for other, taken in found.items():
             if both := members & taken:
                 shared = ", ".join(names[mark] for mark in sorted(both))
-                raise StageError(f"{told(own)} and '{other}' share {shared}", WHY, f"remove it from one; {known}")
+                told = f"{option} and {option_name(other)} share {shared}"
+                raise StageError(told, WHY, f"remove it from one; {known}")
         found[own.name] = members
     if arguments.apex is not None:
         own_points = surface.points[np.unique(surface.triangles[np.isin(parts.marks, sorted(touching))])]
         away = float(np.linalg.norm(surface.shown(own_points) - arguments.apex, axis=1).min())
-        if away > FARTHEST * surface.bounding_box_diagonal:
+        if away > MAX_APEX_DISTANCE * float(np.linalg.norm(np.ptp(own_points, axis=0))):
             raise StageError(
                 f"--apex {','.join(f'{x:g}' for x in arguments.apex)} is {away:.3g} mm from the boundary of "
                 f"{arguments.material}",

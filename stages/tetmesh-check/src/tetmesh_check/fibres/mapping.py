@@ -26,8 +26,9 @@ from tetmesh_check.fem.assembly import linear_elements
 from tetmesh_check.fem.forward import FLOW
 from tetmesh_check.fem.solver import solve
 from tetmesh_check.fibres.arguments import WHY, FibreArguments
-from tetmesh_check.fibres.rule import Harmonic, directions, unit
+from tetmesh_check.fibres.rule import Harmonic, directions, is_level, unit
 from tetmesh_check.parts.algebra import Members
+from tetmesh_check.parts.names import option_name
 from tetmesh_check.quality import Labels, Points, Values, signed_tetrahedron_volumes, triangle_quality
 
 _UNSOLVED = (
@@ -49,9 +50,9 @@ class _Muscle(NamedTuple):
     matrix: Any
     """Matrix of Laplace's equation."""
     nodes: dict[str, Labels]
-    """Its points on each boundary."""
+    """Its points on each boundary that it touches."""
     centres: dict[str, Points]
-    """Centre of each boundary, mm."""
+    """Centre of each of these boundaries, mm."""
 
 
 def _muscle(mesh: MarkedMesh, own: Labels, members: Mapping[str, Members]) -> _Muscle:
@@ -71,7 +72,7 @@ def _muscle(mesh: MarkedMesh, own: Labels, members: Mapping[str, Members]) -> _M
         triangles = mesh.boundary[np.isin(mesh.marks, sorted(marks))]
         triangles = triangles[np.isin(triangles, points).all(axis=1)]
         if not len(triangles):
-            raise StageError(f"the tetrahedra of the muscle have no triangle of '{name}'", WHY, "use --method hxt")
+            continue
         nodes[name] = np.searchsorted(points, np.unique(triangles))
         areas = triangle_quality(mesh.shown, triangles).area
         centres[name] = np.average(mesh.shown[triangles].mean(axis=1), axis=0, weights=areas)
@@ -118,7 +119,8 @@ def _apicobasal(muscle: _Muscle, up: Points, apex: Labels) -> Values:
         np.maximum(_solve(muscle, [(nodes, 0.0)], sign * load), 0.0)
         for nodes, sign in ((apex, 1.0), (muscle.nodes["base"], -1.0))
     )
-    return np.asarray(below / (below + above))
+    # both distances can be 0 at the base
+    return 1.0 - np.divide(above, below + above, out=np.zeros_like(above), where=above > 0.0)
 
 
 def _rotational(muscle: _Muscle, apex: Points) -> Values:
@@ -160,17 +162,20 @@ def map_fibres(
     """
     number = next((row["region"] for row in mesh.table if row["material"] == arguments.material), None)
     own = np.flatnonzero(np.ones(len(mesh.regions), dtype=bool) if mesh.materials is None else mesh.regions == number)
+    if not len(own):
+        # the check `region_parts` fails
+        context.warn(f"{arguments.material} has no tetrahedra, so there are no fibres")
+        return mesh
     muscle = _muscle(mesh, own, members)
-    if lost := len(own) - len(muscle.cells):
-        context.warn(f"{lost} tetrahedra of {arguments.material} are not connected to the rest and get no fibres")
+    if missing := [option_name(name) for name in members if name not in muscle.nodes]:
+        raise StageError(
+            f"the largest connected piece of {arguments.material} ({len(muscle.cells)} of {len(own)} tetrahedra) has no "
+            f"triangle of {' and '.join(missing)}",
+            WHY,
+            "remove small pieces from the labels, or choose another set",
+        )
     points, nodes = muscle.basis.mesh.p.T, muscle.nodes
-    if arguments.apex is None:
-        away, _ = KDTree(points[nodes["base"]]).query(points[nodes["epi"]])
-        apex = nodes["epi"][[away.argmax()]]
-    else:
-        away = np.linalg.norm(points - arguments.apex, axis=1)
-        away[nodes["base"]] = np.inf
-        apex = away.argmin(keepdims=True)
+    apex = _apex(muscle, arguments.apex)
     endo = np.concatenate([nodes[name] for name in ("endo", "endo_rv") if name in nodes])
     up = _harmonic(muscle, _solve(muscle, [(nodes["base"], 1.0), (apex, 0.0)]))
     transmural = _solve(muscle, [(endo, 0.0), (nodes["epi"], 1.0)])
@@ -191,9 +196,37 @@ def map_fibres(
     at_points = {name: np.full(len(mesh.points), np.nan) for name in coordinates}
     for name, found in coordinates.items():
         at_points[name][muscle.points] = found
-    context.results["fibres"] = {
-        **arguments.parameters(), "apex": points[apex[0]].tolist(), "tetrahedra": len(muscle.cells), "not_connected": lost,
-    }  # fmt: skip
-    place = ", ".join(f"{x:.4g}" for x in points[apex[0]])
-    context.closing.append(("fibres", f"{len(muscle.cells):,} tetrahedra, apex at ({place})"))
+    _report(arguments, points[apex[0]], (len(own), len(muscle.cells), int(is_level(up.gradients).sum())), context)
     return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)
+
+
+def _apex(muscle: _Muscle, wanted: tuple[float, float, float] | None) -> Labels:
+    """Return the point at the apex, shape ``(1,)``: see :attr:`.FibreArguments.apex`."""
+    points, nodes = muscle.basis.mesh.p.T, muscle.nodes
+    if wanted is None:
+        away, _ = KDTree(points[nodes["base"]]).query(points[nodes["epi"]])
+        return np.asarray(nodes["epi"][[away.argmax()]])
+    away = np.linalg.norm(points - wanted, axis=1)
+    away[nodes["base"]] = np.inf
+    return np.asarray(away.argmin(keepdims=True))
+
+
+def _report(arguments: FibreArguments, apex: Points, counts: tuple[int, int, int], context: Context) -> None:
+    """Add the fibres to the report; warn of tetrahedra without them, and of arbitrary ones."""
+    total, connected, level = counts
+    if lost := total - connected:
+        context.warn(f"{lost} tetrahedra of {arguments.material} are not connected to the rest and get no fibres")
+    if level:
+        context.warn(
+            f"{level} tetrahedra of {arguments.material} get arbitrary fibres, because no direction there leads from "
+            "the apex to the base, as in a flap with all its points on --base; check --base"
+        )
+    context.results["fibres"] = {
+        **arguments.parameters(),
+        "apex_mm": apex.tolist(),
+        "tetrahedra": connected,
+        "not_connected": lost,
+        "arbitrary": level,
+    }
+    place = ", ".join(f"{x:.4g}" for x in apex)
+    context.closing.append(("fibres", f"{connected:,} tetrahedra, apex at ({place})"))

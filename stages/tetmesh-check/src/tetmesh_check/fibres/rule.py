@@ -1,8 +1,8 @@
 """The rule of Bayer et al. for the directions of heart muscle (Ann Biomed Eng 40:2243-2254, 2012).
 
 Inputs are the values and gradients of harmonic functions in each element: ``along`` is 0 at the
-apex and 1 at the base; ``lv``, ``rv`` and ``epi`` are 1 at the endocardium of the left and the
-right ventricle and at the epicardium, and 0 at the other two. Outputs are orthonormal vectors:
+apex and 1 at the base; ``lv``, ``rv`` and ``epi`` are each 1 at one surface (left endocardium,
+right endocardium, epicardium) and 0 at the other two. Outputs are orthonormal vectors:
 fibre, sheet (within the sheet, across the fibre) and sheet normal.
 
 One formula differs from the paper. There, the angles of the endocardial frame do not depend on
@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tetmesh_check.fibres.arguments import Angles
@@ -24,6 +25,10 @@ from tetmesh_check.quality import Points, Values
 _PARALLEL = 1e-6
 """Minimum sine of the angle between two directions that define a frame. Below it, such as on the
 axis of the apex, the frame is arbitrary; rounding errors of the gradients are smaller."""
+_LEVEL = 1e-8
+"""Minimum length of a gradient, relative to the longest one. The longest is about 1 / h, at the
+apex, and the solver's error of 1e-10 gives 1e-10 / h. The ventricles of ``test_fibres.py`` have at
+least 1e-3."""
 _ON_EPICARDIUM = 1e-6
 """1 - ``epi`` of an element whose points are all on the epicardium. The solver's error is 1e-10."""
 _FLIPS = Rotation.from_quat(np.eye(4))
@@ -42,21 +47,27 @@ def unit(vectors: Points) -> Points:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
+def is_level(gradients: Points) -> NDArray[np.bool_]:
+    """Return whether each gradient is too short to define a direction."""
+    lengths = np.linalg.norm(gradients, axis=1)
+    return np.asarray(lengths <= _LEVEL * lengths.max())
+
+
 def frames(along: Points, across: Points) -> Rotation:
     """Return frames whose columns are the circumferential, apicobasal and transmural directions.
 
     Parameters
     ----------
     along
-        The apicobasal directions, of any length, shape ``(m, 3)``.
+        The apicobasal gradients, shape ``(m, 3)``. The frame is arbitrary where one is too short.
     across
         The transmural directions. The frame contains their part that is orthogonal to ``along``.
     """
     up, out = unit(along), unit(across)
+    up[is_level(along)] = [0.0, 0.0, 1.0]
     out = out - np.einsum("ij,ij->i", out, up)[:, None] * up
     lost = np.linalg.norm(out, axis=1) < _PARALLEL
     least = np.eye(3)[np.abs(up[lost]).argmin(axis=1)]
-    up[lost & ~up.any(axis=1)] = [0.0, 0.0, 1.0]
     out[lost] = np.cross(up[lost], least)
     out = unit(out)
     return Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=2))
@@ -127,7 +138,7 @@ def directions(
     else:
         from_lv = epi.gradients + rv.gradients
         share = _share(epi, rv)
-        # the frames of the septum point from left to right, out of one ventricle and into the other
+        # the frames of the septum point from the left to the right ventricle
         septal = (1.0 - share) * left - share * right
         first, second = (oriented(frames(along.gradients, across), *septal) for across in (from_lv, rv.gradients))
         outer = oriented(transmural, *((1.0 - share) * left + share * right))

@@ -108,6 +108,16 @@ def told(definition: Definition) -> str:
     return f"set '{definition.name} = {definition.text}'"
 
 
+def option_name(name: str) -> str:
+    """Return an option from the name of its value."""
+    return f"--{name.replace('_', '-')}"
+
+
+def told_option(expression: Definition) -> str:
+    """Return an expression for messages, where an option gives it."""
+    return f"{option_name(expression.name)} {expression.text}"
+
+
 def refuse_taken(given: Sequence[Tag | Definition], taken: Sequence[str], names: Sequence[str]) -> None:
     """Refuse names of tags and sets that are taken by parts, materials, words or each other."""
     used = {name.lower() for name in (*_KEYWORDS, *_ARRAYS, *taken, *names, *plain_names(list(names)))}
@@ -138,7 +148,7 @@ def check_early(
     names
         Names of the materials, ``outside`` first; empty for one object, ``None`` if unknown.
     expressions
-        More sets, whose names are not in the files.
+        The expressions of options, by the name of the option.
     splits
         The interfaces to split.
     """
@@ -148,7 +158,8 @@ def check_early(
     finder = Finder([], list(names or OBJECT_NAMES), [])
     for split in splits:
         finder.check_interface(split)
-    for definition in (*definitions, *expressions):
+    where = [*map(told, definitions), *map(told_option, expressions)]
+    for definition, place in zip((*definitions, *expressions), where, strict=True):
         for name in (name for own in definition.node.leaves() if len(own) == 2 for name in own):
             if finder.material(name) is None:
-                finder.refuse(name, told(definition), finder.names, "is not a material")
+                finder.refuse(name, place, finder.names, "is not a material")
