@@ -120,7 +120,8 @@ def _apicobasal(muscle: _Muscle, up: Points, apex: Labels) -> Values:
         for nodes, sign in ((apex, 1.0), (muscle.nodes["base"], -1.0))
     )
     # both distances can be 0 at the base
-    return 1.0 - np.divide(above, below + above, out=np.zeros_like(above), where=above > 0.0)
+    from_base = np.divide(above, below + above, out=np.zeros_like(above), where=above > 0.0)
+    return np.asarray(1.0 - from_base)
 
 
 def _rotational(muscle: _Muscle, apex: Points) -> Values:
