@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 from complexes import cells_of_a_block, nested_balls
-from conftest import NEEDS_HXT, Run, write_sizing
+from conftest import NEEDS_HXT, Run, quiet_context, write_sizing
 from test_split import NAMES, Material, corners_of, joined, plates, with_muscle
 
 from tetmesh_check.checks import Limits
@@ -22,19 +22,23 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.gap import Opened, open_gaps
+from tetmesh_check.measures import _tell
 from tetmesh_check.parts.splits import Split, read_gap
 from tetmesh_check.quality import Points, signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.split import split
 
+LIMITS = Limits()
 CCX = shutil.which("ccx")
 
 
-def opened(material: Material, *gaps: Split, warp: object = lambda at: at) -> tuple[MarkedMesh, Opened]:
+def opened(
+    material: Material, *gaps: Split, warp: object = lambda at: at, limits: Limits = LIMITS
+) -> tuple[MarkedMesh, Opened]:
     """Return a split block, and its gaps."""
     mesh, parts, _ = joined(material, *gaps, warp=warp)  # type: ignore[arg-type]
     apart = split(mesh, parts)
     quality = tetrahedron_quality(apart.points, apart.tetrahedra)
-    return apart, open_gaps(apart, parts, quality, Limits())
+    return apart, open_gaps(apart, parts, quality, limits)
 
 
 def distances(points: Points, one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -101,10 +105,7 @@ def test_interior_nodes_follow_a_wide_gap() -> None:
 
 
 def test_planes_keep_the_distance_at_a_right_angle() -> None:
-    def corner(x: np.ndarray, _y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        return np.where((z < 2) & (x < 3), 1, 2)
-
-    mesh, found = opened(corner, read_gap("bone/cartilage=0.2"))
+    mesh, found = opened(below_and_left, read_gap("bone/cartilage=0.2"))
     bone, cartilage = (corners_of(mesh, name) for name in ("bone_to_cartilage", "cartilage_to_bone"))
     for one, other in ((bone, cartilage), (cartilage, bone)):
         measured = distances(found.points, one, other)[len(np.unique(one)) :]
@@ -138,6 +139,53 @@ def test_gaps_of_different_widths_meet_at_a_curve() -> None:
         np.testing.assert_allclose(measured, width, rtol=0.01)
 
 
+def below_and_left(x: np.ndarray, _y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.where((z < 2) & (x < 3), 1, 2)
+
+
+def test_corrections_end_at_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = []
+    for rounds in (1, 5, 40):
+        monkeypatch.setattr("tetmesh_check.gap._ROUNDS", rounds)
+        errors.append(opened(below_and_left, read_gap("bone/cartilage=0.6"))[1].checks[0].value)
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_tetrahedra_that_missed_a_limit_before_are_not_refused() -> None:
+    limits = Limits(min_dihedral=50.0)
+    mesh, found = opened(plates, read_gap("bone/cartilage=0.2"), limits=limits)
+    before = tetrahedron_quality(mesh.points, mesh.tetrahedra).min_dihedral
+    assert before.max() < 50.0
+    assert found.quality.min_dihedral.min() < before.min()
+
+
+def test_inverted_tetrahedra_are_refused_in_their_own_words() -> None:
+    with pytest.raises(StageError, match="tetrahedra are inverted"):
+        opened(plates, read_gap("bone/cartilage=4.5"))
+
+
+def test_a_strip_between_rims_has_no_checked_width(capfd: pytest.CaptureFixture[str]) -> None:
+    def strip(_x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.where(y < 5, 3, np.where(z < 2, 1, 2))
+
+    gaps = [read_gap(f"{pair}=0.2") for pair in ("bone/cartilage", "bone/muscle", "cartilage/muscle")]
+    rows = opened(strip, *gaps)[1]
+    assert rows.results[0]["distance_mm"] is None
+    assert [one.name for one in rows.checks] == ["gap_width"] * 2
+    _tell(rows.results[0], quiet_context())
+    assert "bone/cartilage: the width of the gap is not checked" in capfd.readouterr().err
+
+
+def test_a_strip_that_another_material_holds_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
+    def strip(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.where((x < 2) | (x > 3) | (y < 1) | (y > 5), 3, np.where(z < 2, 1, 2))
+
+    (row,) = opened(strip, read_gap("bone/cartilage=0.2"))[1].results
+    assert row["doubled_nodes"] == 0
+    _tell(row, quiet_context())
+    assert "bone/cartilage: no node is doubled" in capfd.readouterr().err
+
+
 @NEEDS_HXT
 def test_a_ball_keeps_its_distance_from_its_shell(tmp_path: Path, run: Run) -> None:
     nested_balls((10.0, 6.0), (3, 3), ("shell", "core")).save(tmp_path / "b.surface.vtp")
@@ -167,6 +215,10 @@ def test_a_ball_keeps_its_distance_from_its_shell(tmp_path: Path, run: Run) -> N
     assert np.asarray(volume.cell_data["min_dihedral"]).min() == pytest.approx(
         results["split"]["min_dihedral"]["after"]
     )
+    assert results["volume"]["points"] == volume.n_points
+    after = results["split"]["min_dihedral"]["after"]
+    assert results["volume"]["quality"]["min_dihedral"]["min"] == after
+    assert min(row["quality"]["min_dihedral"]["min"] for row in results["volume"]["regions"]) == after
     assert {check["name"]: check["verdict"] for check in results["checks"]}["gap_width"] == "pass"
 
 

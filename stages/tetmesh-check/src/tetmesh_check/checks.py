@@ -50,7 +50,7 @@ _REQUIRED = {
     "boundary_distance": "the maximum distance from the boundary of the tetrahedra to the surface is {told}",
     "surface_distance": "the maximum distance from the surface to the boundary of the tetrahedra is {told}",
     "quadratic_jacobian": "{value} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
-    "gap_width": "{gap}: the distance between the sides is {told}, {value:.2g} % off (limit {limit:g} %)",
+    "gap_width": "{gap}: the distance between the sides is {told}, {off} % off (limit {limit:g} %)",
     "current_conserved": (
         "the currents into and out of a material differ by at most {value:.2g} of the maximum current (limit {limit:g})"
     ),

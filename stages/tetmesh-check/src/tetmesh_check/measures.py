@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from isoparticles._native import Context, changed_triangles, distances_both_ways, surface_topology
 
-from tetmesh_check.checks import Check, Limits, counted, poor_tetrahedra, smallest_elsewhere
+from tetmesh_check.checks import Check, counted, poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
@@ -16,7 +16,15 @@ from tetmesh_check.gap import open_gaps
 from tetmesh_check.materials import NOTHING, Conformity
 from tetmesh_check.parts.measure import describe_parts
 from tetmesh_check.parts.model import Parts
-from tetmesh_check.quality import Labels, centres_of, summarize, summarize_all, summarize_distances, triangle_quality
+from tetmesh_check.quality import (
+    Labels,
+    Values,
+    centres_of,
+    summarize,
+    summarize_all,
+    summarize_distances,
+    triangle_quality,
+)
 from tetmesh_check.regions import meshed_labels, regions_of, share_outside
 from tetmesh_check.split import split
 from tetmesh_check.surface import Surface, volume_table
@@ -40,7 +48,17 @@ def _boundary(surface: Surface, filled: Filled, outside: Boundary) -> dict[str, 
     }
 
 
-def _interfaces(task: Task, filled: Filled, found: Conformity, context: Context) -> dict[str, Any]:
+def _shapes(task: Task, filled: Filled) -> dict[str, Any]:
+    """Return the shapes of the tetrahedra."""
+    points, quality, limits = task.surface.shown(filled.points), filled.quality, task.arguments.limits
+    return {
+        "points": len(points),
+        "quality": summarize_all(quality),
+        "poor_tetrahedra": poor_tetrahedra(points, filled.tetrahedra, quality, limits),
+    }
+
+
+def _interfaces(task: Task, filled: Filled, found: Conformity, volumes: Values, context: Context) -> dict[str, Any]:
     """Measure the regions of many materials, and how they fit the triangles between them."""
     assert task.forced is not None, "there are many materials"
     quality, regions = filled.quality, []
@@ -55,7 +73,7 @@ def _interfaces(task: Task, filled: Filled, found: Conformity, context: Context)
             "tetrahedra": len(own),
             "parts": len(np.unique(found.parts[own])),
             "surface_parts": material["components"],
-            "volume_mm3": float(quality.volume[own].sum()),
+            "volume_mm3": float(volumes[own].sum()),
             "surface_volume_mm3": material["volume_mm3"],
         }
         if len(own):
@@ -89,13 +107,11 @@ def measure(task: Task, filled: Filled, context: Context) -> VolumeMesh:
     with context.step("measure quality"):
         outside = tetrahedron_boundary(tetrahedra)
         volume = results["volume"] = {
-            "points": len(points),
+            **_shapes(task, filled),
             "tetrahedra": len(tetrahedra),
             "bodies": int(outside.bodies.max()) + 1,
             "volume_mm3": float(quality.volume.sum()),
-            "quality": summarize_all(quality),
             "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
-            "poor_tetrahedra": poor_tetrahedra(surface.shown(points), tetrahedra, quality, arguments.limits),
         }
         if arguments.sizefield is not None:
             wanted = arguments.tet_size_factor * task.field.trilinear(centres_of(points, tetrahedra))
@@ -103,7 +119,7 @@ def measure(task: Task, filled: Filled, context: Context) -> VolumeMesh:
         if found is None:
             volume |= _boundary(surface, filled, outside)
         else:
-            volume |= _interfaces(task, filled, found, context)
+            volume |= _interfaces(task, filled, found, quality.volume, context)
         regions = volume.get("regions", [{"name": "object", **volume}])
         results["volumes"] = volume_table(surface.volumes, {one["name"]: one["volume_mm3"] for one in regions})
     if found is None:
@@ -180,27 +196,33 @@ def mark(
 
 
 def separate(
-    marked: MarkedMesh, filled: Filled, parts: Parts, limits: Limits, context: Context
+    task: Task, marked: MarkedMesh, filled: Filled, parts: Parts, context: Context
 ) -> tuple[MarkedMesh, Filled, list[Check]]:
     """Split interfaces and open their gaps, and measure the parts.
 
     Parameters
     ----------
+    task
+        The surface.
     marked, filled
-        The tetrahedra. The measures of :func:`measure` are those of the joined mesh.
+        The joined tetrahedra. In the report, shapes are then those of the open mesh; volumes and
+        the fit to the interfaces remain those of the joined one.
     parts
         The parts, with both sides of the split interfaces.
-    limits
-        The limits of shape.
     context
         For the results.
     """
     result, checks = split(marked, parts), []
+    if parts.splits and not result.contacts:
+        context.warn("no interface is split, because tetrahedra beside triangles of the interfaces are missing")
     if result.contacts:
         with context.step("split interfaces"):
-            opened = open_gaps(result, parts, filled.quality, limits)
+            opened = open_gaps(result, parts, filled.quality, task.arguments.limits)
         result, before, checks = replace(result, points=opened.points), filled.quality, opened.checks
-        filled = filled._replace(quality=opened.quality)
+        filled = filled._replace(points=result.points, tetrahedra=result.tetrahedra, quality=opened.quality)
+        assert filled.conformity is not None, "there are many materials"
+        context.results["volume"] |= _shapes(task, filled)
+        context.results["volume"] |= _interfaces(task, filled, filled.conformity, before.volume, context)
         context.results["split"] = {
             "interfaces": opened.results,
             "min_dihedral": {
@@ -216,24 +238,31 @@ def separate(
                 for own in result.region_sets
             ],
         }
-        for found in opened.results:
-            _tell(found, context)
+        for row in opened.results:
+            _tell(row, context)
     with context.step("measure parts"):
         context.results["boundary"] = describe_parts(parts, result)
     return result, filled, checks
 
 
 def _tell(found: dict[str, Any], context: Context) -> None:
-    """Add a split interface to the closing table; warn of nodes that stay shared."""
-    told = f"{found['doubled_nodes']:,} nodes doubled"
-    if width := found.get("width_mm"):
-        low, high = found["distance_mm"] or found["distance_at_rims_and_bends_mm"]
+    """Add a split interface to the closing table; warn of positions without a checked gap."""
+    name, told, width = found["interface"], f"{found['doubled_nodes']:,} nodes doubled", found.get("width_mm")
+    if not found["doubled_nodes"]:
+        context.warn(f"{name}: no node is doubled, because each is on a rim that another material connects")
+    elif width and found["distance_mm"] is None:
+        low, high = found["distance_at_rims_and_bends_mm"]
+        context.warn(
+            f"{name}: the width of the gap is not checked, because all of it is next to rims and bends, with distances "
+            f"of {low:.4g} to {high:.4g} mm"
+        )
+    elif width:
+        low, high = found["distance_mm"]
         told += f"; gap of {width:g} mm: {low:.4g} to {high:.4g} mm"
-    context.closing.append((found["interface"], told))
+    context.closing.append((name, told))
     if places := found["shared_nodes_mm"]:
         x, y, z = places[0]
         context.warn(
-            f"{found['interface']} stays joined at {counted(len(places), 'node')} of its rim, which another material "
-            f"holds together (first at ({x:.6g}, {y:.6g}, {z:.6g}) mm; all: split in the report)"
-            + ("; the gap closes there" if width else "")
+            f"{name}: another material connects both sides at {counted(len(places), 'node')} of the rim (first at "
+            f"({x:.6g}, {y:.6g}, {z:.6g}) mm; all: split in the report)" + ("; the gap closes there" if width else "")
         )

@@ -231,7 +231,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step("fibres"):
             marked = map_fibres(arguments.fibres, boundaries, marked, context)
     joined = marked
-    marked, filled, checks = separate(joined, filled, parts, arguments.limits, context)
+    marked, filled, checks = separate(task, joined, filled, parts, context)
     with context.step("write"):
         # the mesh remains if a later step fails
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
