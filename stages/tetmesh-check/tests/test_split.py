@@ -21,7 +21,7 @@ from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.materials import NOBODY, Sides, conform
-from tetmesh_check.measures import mark
+from tetmesh_check.measures import mark, separate
 from tetmesh_check.parts.algebra import read_definition
 from tetmesh_check.parts.find import find_parts
 from tetmesh_check.parts.model import Parts
@@ -176,11 +176,44 @@ def test_tags_and_sets_have_sides() -> None:
     named = {own.number: own.name for own in parts.rows}
     assert [named[mark] for mark in sides.first] == ["cartilage_to_bone", "spot"]
     assert [named[mark] for mark in sides.second] == ["bone_to_cartilage", "bone_spot"]
-    assert apart.contacts == [(mark, other) for mark in sides.first for other in sides.second]
+    (pair,) = apart.contacts
+    assert pair == ("cartilage_to_bone_side", "bone_to_cartilage_side")
+    assert all(len(corners_of(apart, name)) == 72 for name in pair)
     assert len(corners_of(apart, "both")) == 2 * 72
     own = corners_of(apart, "own")
     assert len(own) == 72
     assert np.isin(own, apart.elements[apart.regions == 1]).all()
+
+
+def test_a_side_never_takes_the_name_of_a_tag() -> None:
+    tag = read_tag("ball:2,0,2,2.5 & (bone/cartilage + bone/muscle)=bone_to_cartilage")
+    _, parts, _ = joined(with_muscle, read_split("bone/cartilage"), tags=[tag])
+    (union,) = (own for own in parts.unions if own.name == tag.name)
+    names = [row.name for row in parts.rows]
+    assert {row.number for row in parts.rows if tag.name in row.within} == union.members
+    assert tag.name not in names
+    assert "bone_to_cartilage_2" in names
+
+
+def test_points_without_fibres_get_no_coordinates() -> None:
+    mesh, parts, _ = joined(plates, read_split("bone/cartilage"))
+    for muscle in (1, 2):
+        known = np.unique(mesh.elements[mesh.regions == muscle])
+        values = np.full(len(mesh.points), np.nan)
+        values[known] = mesh.points[known, 2]
+        fibre = np.where((mesh.regions == muscle)[:, None], [1.0, 0.0, 0.0], 0.0)
+        apart = split(replace(mesh, fields={"fibre": fibre}, point_fields={"transmural": values}), parts)
+        found = apart.point_fields["transmural"]
+        own = np.unique(apart.elements[apart.regions == muscle])
+        np.testing.assert_array_equal(np.flatnonzero(~np.isnan(found)), own)
+        np.testing.assert_array_equal(found[own], apart.points[own, 2])
+
+
+def test_points_without_tetrahedra_keep_their_numbers() -> None:
+    mesh, parts, _ = joined(plates, read_split("bone/cartilage"))
+    apart = split(replace(mesh, points=np.vstack([mesh.points, [9.0, 9.0, 9.0]])), parts)
+    np.testing.assert_array_equal(apart.points[apart.elements], mesh.points[mesh.elements])
+    assert apart.elements.max() == len(apart.points) - 1
 
 
 def test_contact_pairs_are_read_back(tmp_path: Path) -> None:
@@ -213,10 +246,12 @@ def test_contact_pairs_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(at[first].mean(axis=1), at[second].mean(axis=1))
 
 
-def test_an_interface_that_lost_tetrahedra_is_not_split() -> None:
+def test_an_interface_that_lost_tetrahedra_is_not_split(capfd: pytest.CaptureFixture[str]) -> None:
     mesh, parts, _ = joined(plates, read_split("bone/cartilage"))
     lost = replace(mesh, before=np.where(np.arange(len(mesh.before)) == np.argmax(mesh.before), NOBODY, mesh.before))
     assert split(lost, parts) is lost
+    separate(None, lost, None, parts, quiet_context())  # type: ignore[arg-type]
+    assert "no interface is split" in capfd.readouterr().err
 
 
 def test_nothing_is_written_about_contact_without_a_split(tmp_path: Path) -> None:
@@ -242,7 +277,7 @@ def test_wrong_interfaces_are_refused(splits: list[Split], told: str) -> None:
         joined(plates, *splits)
     assert told in caught.value.what
     assert caught.value.why
-    assert caught.value.next
+    assert "outside" not in caught.value.next
 
 
 def test_interfaces_are_checked_before_there_is_a_surface() -> None:

@@ -1,9 +1,8 @@
 """Splits interfaces of a mesh of many materials: doubles their nodes and their triangles.
 
 The tetrahedra around a node are connected through their faces, except those on the split
-interfaces. Each connected group of them gets a node of its own. So the sides of an interface come
-apart, up to and including its rim on the free surface. Where a third material holds both sides
-together at the rim, the node stays shared, as at the tip of a crack.
+interfaces. Each connected group of them gets a node of its own. This separates the sides, including
+the rim on the free surface. Rim nodes that a third material connects stay shared, like a crack tip.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.materials import NOBODY
 from tetmesh_check.parts.model import Parts
-from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels
+from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Values
 
 _TURNED = [0, 2, 1, 5, 4, 3]
 """Nodes of a triangle in the opposite orientation; the last three are those of its edges."""
@@ -39,7 +38,7 @@ def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
     cut = np.flatnonzero(np.isin(mesh.marks, list(twins)))
     if not len(cut) or (mesh.owners[cut] == NOBODY).any() or (mesh.before[cut] == NOBODY).any():
         return mesh
-    elements, copied = _doubled(mesh.elements, mesh.faces[cut])
+    elements, copied = _doubled(mesh.elements, mesh.faces[cut], len(mesh.points))
     faces, held = mesh.faces.copy(), np.flatnonzero(mesh.owners != NOBODY)
     faces[held] = _of_element(faces[held], mesh.owners[held], mesh.elements, elements)
     others = _of_element(mesh.faces[cut], mesh.before[cut], mesh.elements, elements)
@@ -48,20 +47,32 @@ def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
     return replace(
         mesh,
         points=np.concatenate([mesh.points, mesh.points[copied]]),
-        point_fields={name: np.append(values, values[copied]) for name, values in mesh.point_fields.items()},
+        point_fields=_point_fields(mesh, elements, copied),
         elements=elements,
         faces=np.concatenate([faces, others[:, _TURNED[: faces.shape[1]]]]),
         owners=np.concatenate([mesh.owners, mesh.before[cut]]),
         before=np.concatenate([before, np.full(len(cut), NOBODY)]),
         marks=np.concatenate([mesh.marks, [twins[mark] for mark in mesh.marks[cut].tolist()]]),
-        contacts=[pair for sides in parts.splits for pair in sides.contacts],
+        contacts=[interface.contact for interface in parts.splits],
     )
 
 
-def _doubled(elements: Cells, cut: Cells) -> tuple[Cells, Labels]:
+def _point_fields(mesh: MarkedMesh, elements: Cells, copied: Labels) -> dict[str, Values]:
+    """Return the fields of the points, which are NaN at points without a tetrahedron with fibres."""
+    if not mesh.point_fields:
+        return {}
+    known = np.unique(elements[mesh.fields["fibre"].any(axis=1)])
+    found = {name: np.full(len(mesh.points) + len(copied), np.nan) for name in mesh.point_fields}
+    for name, values in mesh.point_fields.items():
+        found[name][known] = np.append(values, values[copied])[known]
+    return found
+
+
+def _doubled(elements: Cells, cut: Cells, count: int) -> tuple[Cells, Labels]:
     """Give each connected group of tetrahedra around a node a node of its own.
 
-    Returns the tetrahedra, and the node that each new node is a copy of.
+    Returns the tetrahedra, and the node that each new node is a copy of. New nodes are numbered
+    from ``count``.
     """
     nodes = np.unique(cut)
     near = np.flatnonzero(np.isin(elements, nodes).any(axis=1))
@@ -89,7 +100,7 @@ def _doubled(elements: Cells, cut: Cells) -> tuple[Cells, Labels]:
     numbers = found[:, 0].copy()
     again = np.flatnonzero(np.diff(numbers, prepend=-1) == 0)
     copied = numbers[again]
-    numbers[again] = elements.max() + 1 + np.arange(len(again))
+    numbers[again] = count + np.arange(len(again))
     cells.ravel()[slots] = numbers[index.ravel()]
     result = elements.copy()
     result[near] = cells

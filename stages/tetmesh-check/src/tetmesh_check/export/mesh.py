@@ -111,8 +111,8 @@ class MarkedMesh:
     """Marks of the parts where the border of the volume cuts the object."""
     unions: dict[str, frozenset[int]] = field(default_factory=dict)
     """Marks of the parts of each further set, by name."""
-    contacts: list[tuple[int, int]] = field(default_factory=list)
-    """Marks of the two parts of each contact pair."""
+    contacts: list[tuple[str, str]] = field(default_factory=list)
+    """Names of the two parts or unions of each contact pair."""
     materials: list[dict[str, Any]] | None = None
     """Name and labels of each material, by number, as in the surface; ``None`` for one object."""
     space: str | None = None

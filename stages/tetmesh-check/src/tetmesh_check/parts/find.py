@@ -114,36 +114,52 @@ def _add_tags(surface: Surface, tags: Sequence[Tag], marks: Labels, rows: list[P
         _split(rows, marks, own, parent, name, tags=within, within=within)
 
 
-def _add_sides(rows: list[Part], names: list[str], splits: Sequence[Split]) -> list[SplitInterface]:
+def _add_sides(
+    rows: list[Part], names: list[str], splits: Sequence[Split], tags: Sequence[Tag]
+) -> tuple[list[SplitInterface], list[NamedUnion]]:
     """Add a part for the second side of each part of the split interfaces.
 
     A part keeps the side of its inside. The other side of ``bone_to_cartilage`` is
-    ``cartilage_to_bone``, and that of a tag ``t`` is ``cartilage_t``.
+    ``cartilage_to_bone``, and that of a tag ``t`` is ``cartilage_t``. A side that tags divide is
+    also a set, ``bone_to_cartilage_side``.
     """
     find, plain, found = Finder(rows, names, []), plain_names(names), []
+    unions: list[NamedUnion] = []
+    taken = [*plain, *(tag.name for tag in tags)]
     for split in splits:
         find.check_interface(split)
         members = find.evaluate(split.node, split.text)
-        interface = SplitInterface(split, [], [])
+        first: list[int] = []
+        second: list[int] = []
         for row in [row for row in rows if row.number in members]:
             if row.twin:
                 raise StageError(
                     f"{split.text}: the interface is given twice",
-                    "an interface is split once, and has one width",
-                    "give each interface to one option --split or --gap; --gap also splits it",
+                    "an interface has one width",
+                    "give it to only one --split or --gap; --gap also splits",
                 )
             inside, outside = plain[row.inside], plain[row.outside]
             name = f"{outside}_to_{inside}" if row.name == f"{inside}_to_{outside}" else f"{outside}_{row.name}"
-            (name,) = plain_names([name], [*plain, *(own.name for own in rows)])
+            (name,) = plain_names([name], [*taken, *(own.name for own in rows)])
             number = rows[-1].number + 1
             twin = replace(row, number=number, name=name, inside=row.outside, outside=row.inside, twin=row.number)
             rows[rows.index(row)] = replace(row, twin=number)
             rows.append(twin)
             for own in (row, twin):
                 is_first = own.inside == find.material(split.node.names[0])
-                (interface.first if is_first else interface.second).append(own.number)
-        found.append(interface)
-    return found
+                (first if is_first else second).append(own.number)
+        ends = [plain[find.material(name) or NOTHING] for name in split.node.names]
+        contact = []
+        for side, (own_name, other) in zip((first, second), (ends, ends[::-1]), strict=True):
+            if len(side) == 1:
+                contact.append(next(row.name for row in rows if row.number in side))
+                continue
+            used = [*taken, *(row.name for row in rows), *(union.name for union in unions)]
+            (name,) = plain_names([f"{own_name}_to_{other}_side"], used)
+            unions.append(NamedUnion(name, split.text, frozenset(side)))
+            contact.append(name)
+        found.append(SplitInterface(split, first, second, (contact[0], contact[1])))
+    return found, unions
 
 
 def find_parts(
@@ -178,8 +194,8 @@ def find_parts(
         _add_tags(surface, tags, marks, rows, names)
     used = np.flatnonzero(np.bincount(marks)).tolist()
     rows = sorted((row for row in rows if row.number in used), key=lambda row: row.number)
-    sides = _add_sides(rows, names, splits)
-    unions = [
+    sides, unions = _add_sides(rows, names, splits, tags)
+    unions += [
         NamedUnion(tag.name, tag.text, frozenset(row.number for row in rows if tag.name in row.within))
         for tag in tags
         if all(row.name != tag.name for row in rows)

@@ -8,7 +8,6 @@ caps, and inside the same tags. A set is a union of parts: of a tag, or of an ex
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 from isoparticles import _native
@@ -71,16 +70,13 @@ class SplitInterface:
     """Numbers of the parts of A."""
     second: list[int]
     """Numbers of the parts of B."""
+    contact: tuple[str, str]
+    """Names of the two sides, each a part or a set."""
 
     @property
     def name(self) -> str:
         """The interface as given: ``A/B``."""
         return "/".join(self.split.node.names)
-
-    @property
-    def contacts(self) -> list[tuple[int, int]]:
-        """Pairs of parts that can touch. Tags divide a side into several parts."""
-        return list(product(self.first, self.second))
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,11 @@ class Finder:
                 self.refuse(name, where, self.names, "is not a material")
         found = frozenset(row.number for row in self.rows if {row.inside, row.outside} == set(numbers))
         if not found:
-            touching = [f"{self.names[row.inside]}/{self.names[row.outside]}" for row in self.rows]
-            self.refuse("/".join(operand), where, list(dict.fromkeys(touching)), "is not an interface")
+            pairs = list(dict.fromkeys((row.inside, row.outside) for row in self.rows))
+            # an interface of two materials is not on the outside
+            pairs = [pair for pair in pairs if NOTHING in numbers or NOTHING not in pair] or pairs
+            touching = [f"{self.names[inside]}/{self.names[outside]}" for inside, outside in pairs]
+            self.refuse("/".join(operand), where, touching, "is not an interface")
         return found
 
     def check_interface(self, split: Split) -> None:
