@@ -25,8 +25,8 @@ from tetmesh_check.surface import Surface
 TOLERANCE = 0.01
 """Maximum difference between the distance of the sides and the width of the gap, relative to it."""
 _SHARP = np.cos(np.radians(8.0))
-"""Cosine of the maximum angle between the normals of a node and of its triangles. The edges are then
-1 / cos(8 degrees) = 1.01 times as far apart as the faces. The mean of both is within half of
+"""Cosine of the maximum angle between the normals of a node and of its triangles. The edges are
+then 1 / cos(8 degrees) = 1.01 times as far apart as the faces. The mean of both is within half of
 :data:`TOLERANCE`."""
 _NOISE = 1.0 - _SHARP**2
 """Normals define only those directions in which the mean square of their components is above this:
@@ -38,8 +38,8 @@ _ROUNDS = 40
 """Maximum number of corrections of the factors. They end when the maximum error is below
 :data:`TOLERANCE`: after 2 for a ball in a shell, after 30 at the edge of a layer of cartilage."""
 _LAYERS = 4
-"""Layers of elements that follow the sides. In the ball of ``test_gap.py`` with a gap of 0.8 mm, the
-minimum dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and with 8."""
+"""Layers of elements that follow the sides. In the ball of ``test_gap.py`` with a gap of 0.8 mm,
+the minimum dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and 8."""
 _SWEEPS = 60
 """Sweeps of Jacobi's method for the interior nodes. The error in :data:`_LAYERS` layers falls by
 cos(pi / 5) = 0.81 in each, so by more than 1e5 in all."""

@@ -205,8 +205,8 @@ def separate(
     task
         The surface.
     marked, filled
-        The joined tetrahedra. In the report, shapes are then those of the open mesh; volumes and
-        the fit to the interfaces remain those of the joined one.
+        The joined tetrahedra. In the report, points and shapes are then those of the open mesh;
+        volumes, outer triangles and the fit to the interfaces remain those of the joined one.
     parts
         The parts, with both sides of the split interfaces.
     context

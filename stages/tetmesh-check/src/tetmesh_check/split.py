@@ -58,7 +58,7 @@ def split(mesh: MarkedMesh, parts: Parts) -> MarkedMesh:
 
 
 def _point_fields(mesh: MarkedMesh, elements: Cells, copied: Labels) -> dict[str, Values]:
-    """Return the fields of the points, which are NaN at points without a tetrahedron with fibres."""
+    """Return the fields of the points, which are NaN where no tetrahedron has fibres."""
     if not mesh.point_fields:
         return {}
     known = np.unique(elements[mesh.fields["fibre"].any(axis=1)])

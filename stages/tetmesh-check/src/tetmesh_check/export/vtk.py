@@ -90,7 +90,7 @@ def _save(writer: Any, grid: pv.UnstructuredGrid, path: Path) -> None:
 
 
 def write_legacy(mesh: MarkedMesh, path: Path) -> None:
-    """Write legacy VTK 4.2, binary, with ``region`` and fields as cell data.
+    """Write legacy VTK 4.2, binary, with ``region`` and fields as cell data (E always in N/mm^2).
 
     Point data are the fields of points, ``boundary`` (the marks), and for each union an array that
     is 1 on its triangles.
