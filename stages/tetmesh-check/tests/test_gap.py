@@ -159,6 +159,21 @@ def test_tetrahedra_that_missed_a_limit_before_are_not_refused() -> None:
     assert found.quality.min_dihedral.min() < before.min()
 
 
+def test_tetrahedra_that_were_inverted_before_are_left_to_the_checks() -> None:
+    mesh, parts, _ = joined(plates, read_gap("bone/cartilage=0.2"))
+    apart = split(mesh, parts)
+    elements = apart.elements.copy()
+    elements[0] = elements[0][[0, 2, 1, 3]]
+    regions = np.where(np.arange(len(elements)) == 0, 0, apart.regions)
+    apart = replace(apart, elements=elements, regions=regions)
+    before = tetrahedron_quality(apart.points, apart.tetrahedra)
+    assert (open_gaps(apart, parts, before, LIMITS).quality.volume <= 0.0).sum() == 1
+    # region 0 has no name
+    wide = replace(parts, splits=[replace(own, split=read_gap("bone/cartilage=4.5")) for own in parts.splits])
+    with pytest.raises(StageError, match="too little room"):
+        open_gaps(replace(apart, regions=0 * regions), wide, before, LIMITS)
+
+
 def test_inverted_tetrahedra_are_refused_in_their_own_words() -> None:
     with pytest.raises(StageError, match="tetrahedra are inverted"):
         opened(plates, read_gap("bone/cartilage=4.5"))

@@ -36,7 +36,8 @@ _OBLIQUE = 0.25
 would move by more than the gap, so it does not slide."""
 _ROUNDS = 40
 """Maximum number of corrections of the factors. They end when the maximum error is below
-:data:`TOLERANCE`: after 2 for a ball in a shell, after 30 at the edge of a layer of cartilage."""
+:data:`TOLERANCE`: after 3 on the wavy plates of ``test_gap.py``, after 8 there with a gap of 0.6
+mm, and after 30 at the edge of a layer of cartilage."""
 _LAYERS = 4
 """Layers of elements that follow the sides. In the ball of ``test_gap.py`` with a gap of 0.8 mm,
 the minimum dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and 8."""
@@ -327,7 +328,7 @@ def _refuse_poor(
     """Refuse gaps that leave a tetrahedron inverted, or below a limit that it met."""
     for measure, (name, what, unit) in SHAPE.items():
         old, new, limit = getattr(before, measure), getattr(after, measure), getattr(limits, name)
-        is_inverted = after.volume <= 0.0
+        is_inverted = (after.volume <= 0.0) & (before.volume > 0.0)
         is_poor = is_inverted if is_inverted.any() else (new < limit) & (old >= limit)
         if not is_poor.any():
             continue

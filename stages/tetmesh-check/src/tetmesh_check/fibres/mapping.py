@@ -164,7 +164,6 @@ def map_fibres(
     number = next((row["region"] for row in mesh.table if row["material"] == arguments.material), None)
     own = np.flatnonzero(np.ones(len(mesh.regions), dtype=bool) if mesh.materials is None else mesh.regions == number)
     if not len(own):
-        # the check `region_parts` fails
         context.warn(f"{arguments.material} has no tetrahedra, so there are no fibres")
         return mesh
     muscle = _muscle(mesh, own, members)
@@ -182,23 +181,28 @@ def map_fibres(
     transmural = _solve(muscle, [(endo, 0.0), (nodes["epi"], 1.0)])
     rv = None
     if "endo_rv" in nodes:
-        left = np.concatenate([nodes["endo"], nodes["epi"]])
-        rv = _harmonic(muscle, _solve(muscle, [(left, 0.0), (nodes["endo_rv"], 1.0)]))
-    helix, helix_rv = arguments.helix, arguments.helix_rv or arguments.helix
-    vectors = directions(up, _harmonic(muscle, transmural), rv, helix, arguments.sheet, helix_rv)
-    fields = {name: np.zeros((len(mesh.regions), 3)) for name in ("fibre", "sheet", "sheet_normal")}
-    for field, found in zip(fields.values(), vectors, strict=True):
-        field[muscle.cells] = found
+        ends = [(nodes["endo"], 0.0), (nodes["epi"], 0.0), (nodes["endo_rv"], 1.0)]
+        rv = _harmonic(muscle, _solve(muscle, ends))
+    angles = (arguments.helix, arguments.sheet, arguments.helix_rv or arguments.helix)
+    vectors = directions(up, _harmonic(muscle, transmural), rv, *angles)
+    named = zip(("fibre", "sheet", "sheet_normal"), vectors, strict=True)
+    fields = {name: _spread(found, muscle.cells, len(mesh.regions), 0.0) for name, found in named}
     coordinates = {
         "apicobasal": _apicobasal(muscle, up.gradients, apex),
         "transmural": transmural,
         "rotational": _rotational(muscle, points[apex[0]]),
     }
-    at_points = {name: np.full(len(mesh.points), np.nan) for name in coordinates}
-    for name, found in coordinates.items():
-        at_points[name][muscle.points] = found
-    _report(arguments, points[apex[0]], (len(own), len(muscle.cells), int(is_level(up.gradients).sum())), context)
+    at_points = {name: _spread(found, muscle.points, len(mesh.points), np.nan) for name, found in coordinates.items()}
+    counts = (len(own), len(muscle.cells), int(is_level(up.gradients).sum()))
+    _report(arguments, points[apex[0]], counts, context)
     return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)
+
+
+def _spread(values: Values, where: Labels, count: int, rest: float) -> Values:
+    """Return values of some tetrahedra or points, and ``rest`` for the others."""
+    found = np.full((count, *values.shape[1:]), rest)
+    found[where] = values
+    return found
 
 
 def _apex(muscle: _Muscle, wanted: tuple[float, float, float] | None) -> Labels:
