@@ -523,3 +523,11 @@ def test_a_boundary_of_another_material_is_refused(tmp_path: Path, run: Run) -> 
     early = run("--check-options", known, "s.vtp", "-o", "v.vtu", *words[:3], "walls/blood", *words[4:])
     assert early.returncode == 2
     assert "--endo walls/blood: 'walls' is not a material" in early.stderr
+
+
+def test_the_apex_must_be_near_the_muscle_in_a_large_surface(tmp_path: Path, run: Run) -> None:
+    nested_balls((90.0, 6.0, 3.0), (2, 2, 1), ("skin", "wall", "blood")).save(tmp_path / "s.vtp")
+    words = ["--tag", "plane:0,0,3,0,0,1 & wall/skin=lid", "--fibres", "wall", "--endo", "wall/blood", "--base", "lid"]
+    done = run("s.vtp", "-o", "v.vtu", *words, "--epi", "wall/skin - lid", "--apex", "0,0,-15")
+    assert done.returncode == 2
+    assert "--apex 0,0,-15 is 9 mm from the boundary of wall" in done.stderr

@@ -151,6 +151,13 @@ def test_corrections_end_at_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
     assert errors == sorted(errors, reverse=True)
 
 
+def test_a_closed_gap_is_told_without_an_exponent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tetmesh_check.gap._moved", lambda mesh, *_: mesh.points)
+    (check,) = opened(plates, read_gap("bone/cartilage=0.2"))[1].checks
+    assert not check.passed
+    assert "100 % off (limit 1 %)" in check.words
+
+
 def test_tetrahedra_that_missed_a_limit_before_are_not_refused() -> None:
     limits = Limits(min_dihedral=50.0)
     mesh, found = opened(plates, read_gap("bone/cartilage=0.2"), limits=limits)
