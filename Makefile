@@ -12,11 +12,14 @@ MAKEFLAGS += --no-builtin-rules
 
 CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
+# Cargo's profile of the programs, and options of `cargo build`.
+BUILD := release
+BUILD_OPTIONS :=
 # Folder of the programs. With NO_BUILD=yes, they are used without being built first, as in the
 # tests of this file.
-BIN ?= $(CARGO_TARGET_DIR)/release
+BIN ?= $(CARGO_TARGET_DIR)/$(BUILD:dev=debug)
 # Folder of the programs for the tests and for the wheel.
-export ISOPARTICLES_BIN := $(abspath $(BIN))
+export ISOPARTICLES_BIN = $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
 VENV ?= .venv
@@ -39,7 +42,7 @@ KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MAT
         BACKEND TET_ORDER FOR ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
-OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
+OTHERS := CASE CASES LIST TIME_LIMIT BUILD PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV
 # Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
@@ -263,7 +266,7 @@ endif
 # setup-env.sh makes the package isoparticles importable in VENV, and this link its native module.
 build:
 ifeq ($(NO_BUILD),)
-	@$(CARGO) build --release --locked
+	@$(CARGO) build --profile $(BUILD) --locked $(BUILD_OPTIONS)
 	@ln -sf $(call quote,$(abspath $(BIN))/libisoparticles_python.so) pipelines/wheel/src/isoparticles/_native.abi3.so
 endif
 
@@ -276,28 +279,29 @@ endif
 # takes stripped copies of the programs and of the native module from ISOPARTICLES_BIN. auditwheel
 # checks the versions of their symbols, and tags the wheel with the oldest glibc that has them.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
+WHEEL_VENV = $(CARGO_TARGET_DIR)/wheel-venv
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case isoparticles-volume
-wheel: build env $(WHEEL)/venv/.made completions
+wheel: build env $(WHEEL_VENV)/.made completions
 	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
 	@for name in $(WHEEL_PROGRAMS) libisoparticles_python.so; do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
-	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw .
-	@PATH=$(abspath $(WHEEL)/venv/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
+	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) $(WHEEL_VENV)/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw .
+	@PATH=$(abspath $(WHEEL_VENV)/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
 	@ls $(WHEEL)/*.whl
 
 # Builds the source distribution, target/wheel/isoparticles-*.tar.gz; to install it, pip needs Rust.
 # SDIST_TEST=yes also installs it in a fresh environment, and runs the tests of the wheel there.
-sdist: $(WHEEL)/venv/.made completions
+sdist: $(WHEEL_VENV)/.made completions
 	@rm -rf $(WHEEL)/*.tar.gz $(WHEEL)/fresh
-	@$(WHEEL)/venv/bin/python -m hatchling build -t sdist -d $(WHEEL)
+	@$(WHEEL_VENV)/bin/python -m hatchling build -t sdist -d $(WHEEL)
 ifneq ($(SDIST_TEST),)
 	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
 	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
 
-$(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
-	@$(VENV)/bin/python -m venv --clear $(WHEEL)/venv
-	@$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
+$(WHEEL_VENV)/.made: pipelines/wheel/requirements.lock | env
+	@$(VENV)/bin/python -m venv --clear $(WHEEL_VENV)
+	@$(WHEEL_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
 	@touch $@
 
 # Generates shell completions and man pages from the command lines of the programs, in the folder
@@ -324,6 +328,13 @@ completions: build env
 
 # The Python environment of Sphinx.
 DOCS_VENV ?= .venv-docs
+
+# Tests use programs of the profile `dev`, which checks overflow and assertions. Programs and Rust
+# tests are built together: built apart, their features differ, and most crates compile twice. The
+# wheel of the tests has its own folder.
+test-rust test-python: BUILD = dev
+test-rust test-python: BUILD_OPTIONS = --lib --bins --tests
+test-python: WHEEL = $(BIN)/wheel
 
 test:
 	@tests/run_all.sh '$(MAKE)' format lint documentation docs test-rust test-python
