@@ -37,7 +37,7 @@ pub struct Defects {
     /// Number of pieces: connected components of the facets.
     pub component_count: usize,
     /// Piece of each vertex, or [`NO_COMPONENT`] for vertices without facets.
-    pub piece_of_vertex: Vec<u32>,
+    piece_of_vertex: Vec<u32>,
 }
 
 /// Topology of the facets of a group of components.

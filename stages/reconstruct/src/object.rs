@@ -247,12 +247,6 @@ impl<'a> Object<'a> {
         deviation_ratio(self.at_centroid(facet), limit)
     }
 
-    /// Returns whether a facet lies across F = 0: the cosine between its normal and grad F is below
-    /// `TURNED`.
-    pub fn is_across(&self, facet: &Facet) -> bool {
-        self.at_centroid(facet).1 < TURNED
-    }
-
     /// Returns the first-order distance of the centroid of a facet from F = 0 in mm, and the cosine
     /// between the normal of the facet and grad F there.
     fn at_centroid(&self, facet: &Facet) -> (f64, f64) {

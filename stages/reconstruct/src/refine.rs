@@ -6,16 +6,15 @@
 //! components, critical points of F, cores of handles, and grid nodes on the wrong side.
 //!
 //! One point is inserted per violation (`queue.rs`): the centre of a facet's surface Delaunay ball
-//! (Boissonnat and Oudot 2005), or a position that the criterion gives. Where points do not help,
-//! tetrahedra change sides. The topology of F is computed beforehand.
+//! (Boissonnat and Oudot 2005), or a position that the criterion gives. Where parts of the surface
+//! still touch, tetrahedra change sides. The topology of F is computed beforehand.
 
 mod critical;
 pub(crate) mod nodes;
 mod other;
-mod relabel;
 mod samples;
 
-use crate::defects::Defects;
+use crate::defects::{Defects, edge_of};
 use crate::object::{Object, Violation};
 use crate::prepare::SurfacePoints;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Simplex};
@@ -34,6 +33,10 @@ use std::collections::BTreeMap;
 /// A position from a global criterion is dropped if the nearest vertex was added since then and is
 /// closer than this fraction of the position's radius.
 const STILL_FREE: f64 = 0.8;
+
+/// Maximum number of rounds in which tetrahedra change sides where parts of the surface touch. In
+/// the second half of the rounds, they only change from outside to inside, to prevent oscillation.
+const PARTINGS: usize = 16;
 
 /// Limits of the refinement.
 #[derive(Clone, Copy, Debug)]
@@ -64,9 +67,6 @@ pub struct RefineReport {
     /// Number of edges and vertices at which touching parts of the surface were separated by
     /// changing the sides of tetrahedra.
     pub parted_pinches: usize,
-    /// Number of small closed pieces of the mesh that corresponded to no component of F = 0 and
-    /// were removed by changing the sides of their tetrahedra.
-    pub dropped_pieces: usize,
     /// Number of remaining violations of the topology, by reason.
     pub unresolved: BTreeMap<Reason, usize>,
 }
@@ -215,9 +215,6 @@ impl<'a> Refinement<'a> {
             if mended == 0 {
                 mended = self.part_pinches(&facets, &defects);
             }
-            if mended == 0 {
-                mended = self.drop_pieces(&facets, &defects);
-            }
             if mended == 0 && node_rounds_left > 0 {
                 let found = self.at_nodes(&facets);
                 mended = self.mend_all(found, step)?;
@@ -237,6 +234,30 @@ impl<'a> Refinement<'a> {
         let mended = self.drain(found, step)?;
         self.report.rounds += usize::from(mended > 0);
         Ok(mended)
+    }
+
+    /// Separates parts of the surface that touch at edges or, if no edge can be separated, at
+    /// vertices. Returns the number of edges or vertices.
+    fn part_pinches(&mut self, facets: &[Facet], defects: &Defects) -> usize {
+        if defects.is_manifold() || self.partings >= PARTINGS {
+            return 0;
+        }
+        let may_leave = 2 * self.partings < PARTINGS;
+        let restricted = &mut self.object.restricted;
+        let mut parted = 0;
+        for around in &defects.edges {
+            if let Some(edge) = edge_of(facets, around) {
+                let start = facets[around[0] as usize].tetrahedron;
+                parted += usize::from(restricted.part_edge(edge, start, may_leave));
+            }
+        }
+        if parted == 0 {
+            let vertices = defects.vertices.iter().map(|(v, _)| *v);
+            parted = vertices.filter(|&v| restricted.part_vertex(v, may_leave)).count();
+        }
+        self.partings += usize::from(parted > 0);
+        self.report.parted_pinches += parted;
+        parted
     }
 
     /// Records the remaining violations in the report.

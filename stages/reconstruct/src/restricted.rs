@@ -84,36 +84,8 @@ impl<'a> Restricted<'a> {
         let errs = |part: &Vec<u32>| part.iter().map(|&t| self.distance_of_centre(t)).fold(0.0, f64::max);
         let spare = parts.iter().filter(is_spare).map(|part| (errs(part), part)).filter(|(err, _)| err.is_finite());
         let Some((_, part)) = spare.min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
-        self.change_sides(part);
+        part.iter().for_each(|&t| self.sides.set(t, !self.sides.of(t)));
         true
-    }
-
-    /// Moves tetrahedra to the other side.
-    pub fn change_sides(&mut self, tetrahedra: &[u32]) {
-        tetrahedra.iter().for_each(|&t| self.sides.set(t, !self.sides.of(t)));
-    }
-
-    /// Returns the tetrahedra within a closed surface of facets: those inside a part of the object,
-    /// or those outside in a cavity of it. Returns `None` if there are more than `most`, or if the
-    /// surface is not their whole boundary.
-    pub fn enclosed(&self, facets: &[Facet], most: usize) -> Option<Vec<u32>> {
-        let starts = [facets.first()?.tetrahedron, self.sides.across(facets.first()?)];
-        starts.into_iter().find_map(|start| {
-            let side = self.is_inside(start);
-            let (mut region, mut next, mut met) = (vec![start], 0, 0);
-            while next < region.len() && region.len() <= most {
-                for n in self.delaunay().neighbours(region[next]) {
-                    if self.is_inside(n) != side {
-                        met += 1;
-                    } else if !region.contains(&n) {
-                        region.push(n);
-                    }
-                }
-                next += 1;
-            }
-            let is_all = next == region.len() && met == facets.len();
-            (is_all && !region.iter().any(|&t| self.delaunay().is_ghost(t))).then_some(region)
-        })
     }
 
     /// Returns the first-order distance of the circumcentre of a tetrahedron from F = 0 in mm. The

@@ -5,7 +5,6 @@ use crate::join::{COCONE_ROUNDS, cocone_of, compact};
 use crate::prepare::{SurfacePoints, prepare};
 use crate::queue::Reason;
 use crate::refine::{RefineOptions, RefineReport, Refinement};
-use crate::restricted::Facet;
 use crate::scenes::{self, Scene};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -150,28 +149,6 @@ fn surfaces_that_touch_at_a_saddle_of_f_are_separated() {
         refinement.report.parted_pinches
     });
     assert!(parted.iter().any(|&n| n > 0), "nothing touches at any spacing, so this shows nothing");
-}
-
-#[test]
-fn enclosed_tetrahedra_are_found_and_can_change_sides() {
-    // one of two balls, and the cavity of a shell
-    for (scene, is_cavity) in [(scenes::two_balls(), false), (scenes::shell(), true)] {
-        let mut points = surface_points(&scene, 1.4);
-        let topology = FieldTopology::new(&scene.field);
-        let mut refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
-        let (facets, _) = refinement.run(|_| Ok(())).unwrap();
-        let is_one = |f: &Facet| {
-            let p = refinement.object.restricted.points()[f.vertices[0] as usize];
-            if is_cavity { p.distance(scenes::CENTRE) < 9.25 } else { p.x < 15.6 }
-        };
-        let (one, other): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(|f| is_one(f));
-        let enclosed = refinement.object.restricted.enclosed(&one, 100_000).expect("it is closed");
-        assert!(enclosed.iter().all(|&t| refinement.object.restricted.is_inside(t) != is_cavity));
-        assert_eq!(refinement.object.restricted.enclosed(&one, 3), None);
-        assert_eq!(refinement.object.restricted.enclosed(&one[1..], 100_000), None, "it is open");
-        refinement.object.restricted.change_sides(&enclosed);
-        assert_eq!(refinement.object.facets(), other);
-    }
 }
 
 fn within(measured: f64, truth: f64, part: f64) -> bool {
@@ -483,7 +460,7 @@ fn ball_with_cones(seed: u64) -> Scene {
 fn the_tips_of_cones_are_kept() {
     for (seed, spacing) in (0..12).flat_map(|seed| [3.0, 5.0, 7.0].map(|spacing| (seed, spacing))) {
         let (_, defects, report, _) = surface(&ball_with_cones(seed), spacing);
-        let is_right = defects.is_empty() && report.unresolved.is_empty() && report.dropped_pieces == 0;
+        let is_right = defects.is_empty() && report.unresolved.is_empty();
         assert!(is_right, "scene {seed} at {spacing}: {report:?}");
     }
 }

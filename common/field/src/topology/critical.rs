@@ -70,14 +70,6 @@ pub struct CriticalPoint {
     pub radius: f64,
 }
 
-impl CriticalPoint {
-    /// Returns whether F = 0 is reached along all three eigenvectors, as at an extremum within a
-    /// speck or a cavity.
-    pub fn is_enclosed(&self) -> bool {
-        self.ways.iter().all(|way| *way != DVec3::ZERO)
-    }
-}
-
 /// Returns the critical points of F within a few voxels of F = 0 whose neck, gap or speck has a
 /// radius of at least `smallest` (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {

@@ -112,16 +112,6 @@ impl Refinement<'_> {
         self.object.topology.critical_points().par_iter().filter(move |c| c.radius >= resolution)
     }
 
-    /// Returns whether an extremum of F is on its correct side and its nearest vertex is one of
-    /// `vertices` (ascending).
-    pub(super) fn holds_extremum(&self, vertices: &[u32]) -> bool {
-        let is_held = |c: &CriticalPoint| {
-            let near = self.nearest(c.position).0;
-            vertices.binary_search(&near).is_ok() && self.has_right(c, near)
-        };
-        self.critical_points().any(|c| c.is_enclosed() && is_held(c))
-    }
-
     /// Returns whether another attempt is allowed after `looks` attempts at critical points, or at
     /// cores.
     pub(super) fn may_look(&self, looks: usize) -> bool {
