@@ -39,8 +39,8 @@ mod _native {
     use crate::fields::{GridField, labels_at, read_volume, tetrahedron_means};
     #[pymodule_export]
     use crate::meshes::{
-        changed_triangles, check_complex, describe_complex, distances_both_ways, nearest_flags, self_intersections,
-        summarize, surface_components, surface_topology, tetrahedron_boundary, tetrahedron_quality,
+        changed_triangles, check_complex, describe_complex, distances_both_ways, distances_to, nearest_flags,
+        self_intersections, summarize, surface_components, surface_topology, tetrahedron_boundary, tetrahedron_quality,
         tetrahedron_volumes, triangle_quality,
     };
     #[pymodule_export]

@@ -222,6 +222,20 @@ pub(crate) fn distances_both_ways(
     Ok((Array::column(&there), Array::column(&back)))
 }
 
+/// Returns the distances from positions to a mesh.
+#[pyfunction]
+pub(crate) fn distances_to(
+    py: Python<'_>,
+    positions: Argument,
+    points: Argument,
+    triangles: Argument,
+) -> PyResult<Array> {
+    let (positions, mesh) = (crate::arrays::points(positions)?, mesh(points, triangles)?);
+    let nearest = compute(py, move || nearest::nearest_triangles(&mesh, &positions))?;
+    let nearest = nearest.ok_or_else(|| PyValueError::new_err("the mesh has no triangles"))?;
+    Ok(Array::column(&nearest.into_iter().map(|(_, distance)| distance).collect::<Vec<_>>()))
+}
+
 /// Returns a flag for each triangle: the flag, 0 or 1, of the triangle of another mesh that is
 /// nearest to its centroid.
 #[pyfunction]

@@ -2,8 +2,8 @@
 
 A node moves by the vector d whose component along the normal of each adjacent triangle of its side
 is half the gap, into its material (least squares). Its tangential component keeps the node on its
-other triangles, such as the free surface at the rim. Factors of these vectors are corrected by the
-measured distances. Interior nodes nearby follow. A node that both sides share stays.
+other triangles, such as the free surface at the rim. The measured distances correct the lengths of
+these vectors. Interior nodes nearby follow. A node that both sides share stays.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import distances_both_ways
+from isoparticles._native import distances_to
 from numpy.typing import NDArray
 
 from tetmesh_check.checks import SHAPE, Check, Limits, check, counted
@@ -19,34 +19,31 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.numerals import plain
 from tetmesh_check.parts.model import Parts, SplitInterface
-from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of, tetrahedron_quality
 from tetmesh_check.surface import Surface
 
 TOLERANCE = 0.01
 """Maximum difference between the distance of the sides and the width of the gap, relative to it."""
 _SHARP = np.cos(np.radians(8.0))
-"""Cosine of the maximum angle between the normals of a node and of its triangles. The edges are
-then 1 / cos(8 degrees) = 1.01 times as far apart as the faces. The mean of both is within half of
-:data:`TOLERANCE`."""
+"""Cosine of the maximum angle between the normals of a node and of its triangles, where distances
+are checked. At such an edge, the sides are 1 / cos(8 degrees) = 1.01 times as far apart as beside
+it. If the mean of both distances is the gap, each is within half of :data:`TOLERANCE`."""
 _NOISE = 1.0 - _SHARP**2
-"""Normals define only those directions in which the mean square of their components is above this:
-in folds sharper than :data:`_SHARP`."""
+"""Minimum mean square of the normals' components along a direction in which they determine the
+movement of a node: sin^2 of the angle of :data:`_SHARP`."""
 _OBLIQUE = 0.25
-"""The same for the surfaces on which a node slides: sin^2(30 degrees). Below this angle, a node
-would move by more than the gap, so it does not slide."""
+"""The same minimum for the normals of the surfaces on which a node slides: sin^2(30 degrees). At a
+smaller angle to the interface, sliding would move the node by more than the gap."""
 _ROUNDS = 40
-"""Maximum number of corrections of the factors. They end when the maximum error is below
-:data:`TOLERANCE`: after 3 on the wavy plates of ``test_gap.py``, after 8 there with a gap of 0.6
-mm, and after 30 at the edge of a layer of cartilage."""
+"""Maximum number of corrections of the lengths. They end when the maximum error is below
+:data:`TOLERANCE`: after 3 on the wavy plates of ``test_gap.py``, and after 8 there with a gap of
+0.6 mm."""
 _LAYERS = 4
 """Layers of elements that follow the sides. In the ball of ``test_gap.py`` with a gap of 0.8 mm,
 the minimum dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and 8."""
 _SWEEPS = 60
 """Sweeps of Jacobi's method for the interior nodes. The error in :data:`_LAYERS` layers falls by
 cos(pi / 5) = 0.81 in each, so by more than 1e5 in all."""
-_CHUNK = 50_000
-"""Triangles in a measurement. With their corners, these are at most 200,000 positions, all of which
-the Rust code measures (``MAX_SAMPLES``)."""
 
 
 class _Side(NamedTuple):
@@ -92,8 +89,9 @@ def refuse_wide(parts: Parts, surface: Surface) -> None:
             rest = ~on & ((surface.sides.inside == row.inside) | (surface.sides.outside == row.inside))
             if not rest.any():
                 continue
-            away = distances_both_ways(surface.points, surface.triangles[on], surface.points, surface.triangles[rest])
-            if 0.5 * interface.split.width >= (thickest := float(away[0].max())):
+            positions = _nodes_and_centres(surface.points, np.unique(surface.triangles[on]), surface.triangles[on])
+            away = distances_to(positions, surface.points, surface.triangles[rest])
+            if 0.5 * interface.split.width >= (thickest := float(away.max())):
                 raise StageError(
                     f"{interface.split.text}: each side moves by {0.5 * interface.split.width:g} mm, but "
                     f"{parts.names[row.inside]} is at most {thickest:.3g} mm thick there",
@@ -202,17 +200,15 @@ def _sides(mesh: MarkedMesh, interface: SplitInterface) -> _Pair:
     return found[0], found[1]
 
 
+def _nodes_and_centres(points: Points, nodes: Labels, triangles: Cells) -> Points:
+    """Return the positions of nodes, then those of the centres of triangles."""
+    return np.concatenate([points[nodes], centres_of(points, triangles)])
+
+
 def _distances(points: Points, side: _Side, other: _Side) -> tuple[Values, Values]:
     """Return the distances of the nodes and of the centres of a side from the other side."""
-    at_nodes, at_centres = np.zeros(len(side.nodes)), []
-    for start in range(0, len(side.triangles), _CHUNK):
-        chunk = side.triangles[start : start + _CHUNK]
-        found = distances_both_ways(points, chunk, points, other.triangles)[0]
-        nodes = np.unique(chunk)
-        assert len(found) == len(nodes) + len(chunk), "every position is measured"
-        at_nodes[np.searchsorted(side.nodes, nodes)] = found[: len(nodes)]
-        at_centres.append(found[len(nodes) :])
-    return at_nodes, np.concatenate(at_centres)
+    found = distances_to(_nodes_and_centres(points, side.nodes, side.triangles), points, other.triangles)
+    return found[: len(side.nodes)], found[len(side.nodes) :]
 
 
 def _extremes(points: Points, side: _Side, other: _Side) -> tuple[Values, Values, Values]:
