@@ -1,6 +1,7 @@
 //! Stores the indicators of all materials of a volume, and an index of the materials that are known
 //! in each brick of cells.
 
+use super::bounded::{Bound, Bounded};
 use super::error::Error;
 use super::indicator::{CELLS, Indicator, bricks_along};
 use super::strata::half_difference;
@@ -46,6 +47,8 @@ pub struct Materials {
     entries: Vec<Entry>,
     /// Material that fills each brick, or [`NO_FILL`].
     fill: Vec<u16>,
+    /// Planes at which the materials end.
+    bounds: Vec<Bound>,
 }
 
 impl Materials {
@@ -110,7 +113,23 @@ impl Materials {
             }
         }
         let (table, indicators) = materials.into_iter().unzip();
-        Ok(Self { geometry, table, indicators, start, entries, fill })
+        Ok(Self { geometry, table, indicators, start, entries, fill, bounds: Vec::new() })
+    }
+
+    /// Ends the materials at planes. The space beyond each plane becomes a material at the end of
+    /// the table, without labels ([`Bounded`]).
+    #[must_use]
+    pub fn with_bounds(mut self, bounds: Vec<Bound>) -> Self {
+        let named = bounds.iter().map(|bound| Material { name: bound.name.clone(), labels: Vec::new() });
+        self.table.truncate(self.indicators.len());
+        self.table.extend(named);
+        self.bounds = bounds;
+        self
+    }
+
+    /// Returns the planes at which the materials end.
+    pub fn bounds(&self) -> &[Bound] {
+        &self.bounds
     }
 
     /// Returns the materials with their grid in another anatomical frame ([`Geometry::in_space`]).
@@ -124,7 +143,8 @@ impl Materials {
         &self.geometry
     }
 
-    /// Returns the names and labels of the materials, indexed by material number.
+    /// Returns the names and labels of the materials, and the names of the planes at which they
+    /// end, indexed by material number.
     pub fn table(&self) -> &[Material] {
         &self.table
     }
@@ -134,7 +154,7 @@ impl Materials {
         self.table.iter().map(|material| material.name.clone()).collect()
     }
 
-    /// Returns the indicators, indexed by material number.
+    /// Returns the indicators, indexed by material number. The space beyond a plane has none.
     pub fn indicators(&self) -> &[Indicator] {
         &self.indicators
     }
@@ -157,11 +177,18 @@ impl Materials {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
-    /// Returns the bricks in which more than one material is known. Each is given by its first cell
-    /// and its number of cells along each axis. These bricks contain all strata.
+    /// Returns the bricks that contain all strata: those in which more than one material is known,
+    /// and those that a plane can cross. Each is given by its first cell and its number of cells
+    /// along each axis.
     pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
         let [bx, by, _] = bricks_along(self.geometry.size);
-        let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
+        let half = 0.5 * CELLS as f64 * self.geometry.spacing;
+        let is_crossed = |brick: usize| {
+            let first = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| (n * CELLS) as f64);
+            let centre = DVec3::from_array(first) * self.geometry.spacing + half;
+            self.bounds.iter().any(|bound| bound.distance(centre).abs() <= bound.normal.abs().dot(half))
+        };
+        let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1 || is_crossed(brick));
         let extent = |brick: usize| {
             let first = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| n * CELLS);
             let count = |axis: usize| CELLS.min(self.geometry.size[axis].saturating_sub(1).saturating_sub(first[axis]));
@@ -230,21 +257,25 @@ impl Materials {
     }
 }
 
-impl Indicators for Materials {
+/// The materials without the planes at which they end.
+struct Unbounded<'a>(&'a Materials);
+
+impl Indicators for Unbounded<'_> {
     fn near(&self, grid: DVec3) -> Near {
-        let stencil = Stencil::new(&self.geometry, grid);
-        let brick = self.brick(&stencil);
+        let Self(own) = self;
+        let stencil = Stencil::new(&own.geometry, grid);
+        let brick = own.brick(&stencil);
         let mut near = Near::default();
-        if self.fill[brick] != NO_FILL {
-            near.insert(MaterialId(self.fill[brick]), f64::NEG_INFINITY);
+        if own.fill[brick] != NO_FILL {
+            near.insert(MaterialId(own.fill[brick]), f64::NEG_INFINITY);
         }
-        let known = self.known(brick);
+        let known = own.known(brick);
         if known.is_empty() {
             return near;
         }
         let side_by_side = stencil.clone().gathered();
         for &entry in known {
-            match self.gathered(entry, &stencil) {
+            match own.gathered(entry, &stencil) {
                 Ok(read) => near.insert(MaterialId(entry.material), side_by_side.value(&read)),
                 Err(true) => near.insert(MaterialId(entry.material), f64::NEG_INFINITY),
                 Err(false) => {}
@@ -254,8 +285,8 @@ impl Indicators for Materials {
     }
 
     fn value_gradient(&self, id: MaterialId, grid: DVec3) -> (f64, DVec3) {
-        match self.of(id, grid) {
-            Ok((stencil, read)) => stencil.value_gradient(&read, self.geometry.spacing),
+        match self.0.of(id, grid) {
+            Ok((stencil, read)) => stencil.value_gradient(&read, self.0.geometry.spacing),
             Err(inside) => (far(inside).value, DVec3::ZERO),
         }
     }
@@ -264,13 +295,14 @@ impl Indicators for Materials {
     /// between the coefficients of the two materials.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
-        let stencil = Stencil::new(&self.geometry, grid);
-        let brick = self.brick(&stencil);
-        let [a, b] = [i, j].map(|id| self.read(id, brick, &stencil));
+        let Self(own) = self;
+        let stencil = Stencil::new(&own.geometry, grid);
+        let brick = own.brick(&stencil);
+        let [a, b] = [i, j].map(|id| own.read(id, brick, &stencil));
         match (a, b) {
             (Ok(a), Ok(b)) => {
                 let half = std::array::from_fn(|n| 0.5 * (f64::from(a[n]) - f64::from(b[n])));
-                stencil.value_gradient_of(&half, self.geometry.spacing)
+                stencil.value_gradient_of(&half, self.0.geometry.spacing)
             }
             _ => half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid)),
         }
@@ -278,19 +310,20 @@ impl Indicators for Materials {
 
     #[inline(always)]
     fn is_real_interface(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
-        let stencil = Stencil::new(&self.geometry, grid);
-        let brick = self.brick(&stencil);
+        let Self(all) = self;
+        let stencil = Stencil::new(&all.geometry, grid);
+        let brick = all.brick(&stencil);
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
-        let is_filled_by_other = self.fill[brick] != NO_FILL && !is_own(self.fill[brick]);
-        let mut others = self.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
+        let is_filled_by_other = all.fill[brick] != NO_FILL && !is_own(all.fill[brick]);
+        let mut others = all.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
         // in most bricks no third material is known, and no indicator needs to be evaluated
         if others.peek().is_none() && !is_filled_by_other {
             return true;
         }
         // a spline value is never below the minimum of the coefficients at the nodes of its stencil
-        let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
+        let own_value = || Some(stencil.clone().gathered().value(&all.read(own[0], brick, &stencil).ok()?));
         let is_far = |limit: f64| {
-            others.all(|&entry| match self.gathered(entry, &stencil) {
+            others.all(|&entry| match all.gathered(entry, &stencil) {
                 Ok(read) => f64::from(read.iter().copied().fold(f32::INFINITY, f32::min)) > limit,
                 Err(inside) => !inside,
             })
@@ -300,13 +333,63 @@ impl Indicators for Materials {
     }
 
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {
-        match self.of(id, grid) {
-            Ok((stencil, read)) => stencil.jet(&read, self.geometry.spacing),
+        match self.0.of(id, grid) {
+            Ok((stencil, read)) => stencil.jet(&read, self.0.geometry.spacing),
             Err(inside) => far(inside),
         }
     }
 
     fn voxel(&self) -> f64 {
+        self.0.geometry.mean_spacing()
+    }
+}
+
+impl Materials {
+    /// Returns the materials, which end at the planes.
+    #[inline(always)]
+    fn bounded(&self) -> Bounded<'_, Unbounded<'_>> {
+        Bounded::new(Unbounded(self), &self.bounds, MaterialId(self.indicators.len() as u16))
+    }
+}
+
+impl Indicators for Materials {
+    #[inline]
+    fn near(&self, grid: DVec3) -> Near {
+        self.bounded().near(grid)
+    }
+
+    fn value_gradient(&self, id: MaterialId, grid: DVec3) -> (f64, DVec3) {
+        self.bounded().value_gradient(id, grid)
+    }
+
+    fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {
+        self.bounded().jet(id, grid)
+    }
+
+    fn voxel(&self) -> f64 {
         self.geometry.mean_spacing()
+    }
+
+    fn region(&self, id: MaterialId) -> MaterialId {
+        self.bounded().region(id)
+    }
+
+    #[inline(always)]
+    fn difference_of(&self, near: &Near, grid: DVec3, i: MaterialId, j: MaterialId) -> f64 {
+        self.bounded().difference_of(near, grid, i, j)
+    }
+
+    fn difference(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> Jet {
+        self.bounded().difference(i, j, grid)
+    }
+
+    #[inline(always)]
+    fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
+        self.bounded().difference_gradient(i, j, grid)
+    }
+
+    #[inline(always)]
+    fn is_real_interface(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+        self.bounded().is_real_interface(own, grid)
     }
 }

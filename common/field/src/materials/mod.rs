@@ -12,6 +12,7 @@
 //! samples on a grid, [`Object`] for the spline of one object, and [`Analytic`] for functions.
 
 mod analytic;
+mod bounded;
 pub mod complex;
 mod error;
 mod index;
@@ -23,6 +24,7 @@ mod stratum;
 mod tests;
 
 pub use analytic::{Analytic, ball, half_space, maximum, minimum, negative};
+pub use bounded::{Bound, Bounded};
 pub use error::Error;
 pub use index::{Materials, ON_INTERFACE};
 pub use indicator::{BLOCK, CELLS, Indicator, IndicatorParts, KNOWN_VOXELS, bricks_along};
@@ -101,6 +103,11 @@ impl Near {
         &self.entries[..self.count]
     }
 
+    /// Returns the indicator of a material in mm, or infinity if it is not known.
+    pub fn value(&self, id: MaterialId) -> f64 {
+        self.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
+    }
+
     /// Returns the material with the smallest indicator, if any indicator is known.
     pub fn first(&self) -> Option<MaterialId> {
         self.entries().first().map(|(id, _)| *id)
@@ -147,6 +154,24 @@ pub trait Indicators: Sync {
     /// if no indicator is known.
     fn material_at(&self, grid: DVec3) -> MaterialId {
         self.near(grid).first().unwrap_or(MaterialId::OUTSIDE)
+    }
+
+    /// Returns the region of a material: the outside for the space beyond a plane
+    /// ([`Bounded`]), otherwise the material itself. A mesh has no triangles within a region.
+    fn region(&self, id: MaterialId) -> MaterialId {
+        id
+    }
+
+    /// Returns whether materials belong to at least two regions.
+    fn are_separate(&self, ids: &[MaterialId]) -> bool {
+        ids.iter().any(|&id| self.region(id) != self.region(ids[0]))
+    }
+
+    /// Returns F_i - F_j (mm), given the indicators known at a position. The value is not finite if
+    /// one of them is not known.
+    #[inline(always)]
+    fn difference_of(&self, near: &Near, _grid: DVec3, i: MaterialId, j: MaterialId) -> f64 {
+        near.value(i) - near.value(j)
     }
 
     /// Returns half the difference of two indicators, G_ij = (F_i - F_j) / 2, as a function.

@@ -146,31 +146,34 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
             }
             0.5
         } else {
-            let weights = equal_between([from, to], [a.own, b.own]);
-            weights[1]
+            self.equal_between([from, to], [a.own, b.own])[1]
         };
         let between = self.indicators.near(from.position + (to.position - from.position) * share);
-        between.first().is_some_and(|id| id != a.own && id != b.own)
+        // on a plane, the space beyond it has the same indicator as the nearest material
+        let is_beyond = |id: MaterialId| self.indicators.region(id) != id;
+        let is_on_plane = is_beyond(a.own) != is_beyond(b.own) && self.indicators.are_separate(&[a.own, b.own]);
+        let mut others = between.entries().iter().map(|(id, _)| *id).filter(|&id| !(is_on_plane && is_beyond(id)));
+        others.next().is_some_and(|id| id != a.own && id != b.own)
     }
-}
 
-/// Returns the interpolation weights of two nodes for the point between them where the indicators
-/// of two materials, interpolated linearly, are equal. The weights are 0.5 each if an indicator is
-/// unknown.
-fn equal_between(nodes: [&NodeSample; 2], of: [MaterialId; 2]) -> [f64; 2] {
-    let [from, to] = nodes.map(|node| value(&node.near, of[1]) - value(&node.near, of[0]));
-    let sum = from - to;
-    if sum.is_finite() && sum != 0.0 {
-        let share = (from / sum).clamp(0.0, 1.0);
-        [1.0 - share, share]
-    } else {
-        [0.5; 2]
+    /// Returns the indicator of the first material minus that of the second (mm) at a node.
+    fn difference(&self, node: &NodeSample, [i, j]: [MaterialId; 2]) -> f64 {
+        self.indicators.difference_of(&node.near, node.position, i, j)
     }
-}
 
-/// Returns the indicator of a material at a sampled node in mm, or infinity if it is unknown.
-fn value(near: &Near, id: MaterialId) -> f64 {
-    near.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
+    /// Returns the interpolation weights of two nodes for the point between them where the
+    /// indicators of two materials, interpolated linearly, are equal. The weights are 0.5 each if
+    /// an indicator is unknown.
+    fn equal_between(&self, nodes: [&NodeSample; 2], [i, j]: [MaterialId; 2]) -> [f64; 2] {
+        let [from, to] = nodes.map(|node| self.difference(node, [j, i]));
+        let sum = from - to;
+        if sum.is_finite() && sum != 0.0 {
+            let share = (from / sum).clamp(0.0, 1.0);
+            [1.0 - share, share]
+        } else {
+            [0.5; 2]
+        }
+    }
 }
 
 /// Returns the vertices and triangles in a block of grid cells. The block starts at `first` and has
@@ -256,13 +259,15 @@ impl Found {
     /// of `own`. Returns its name and its position (grid frame, mm).
     fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
         let (name, position) = (corners.name(own), corners.position(block, own));
-        if let Some(stratum) = corners.stratum(own) {
+        let stratum = corners.stratum(own);
+        if let Some(stratum) = stratum.filter(|own| block.indicators.are_separate(own.materials())) {
             self.vertices.push((name, Vertex { position, stratum }));
         }
         (name, position)
     }
 
-    /// Adds a piece of a material interface as one or two triangles.
+    /// Adds a piece of a material interface as one or two triangles, unless both materials belong
+    /// to the same region.
     fn interface<I: Indicators + ?Sized>(
         &mut self,
         block: &Block<'_, I>,
@@ -271,6 +276,9 @@ impl Found {
         own: [u8; 4],
     ) {
         let ids = of.map(|corner| corners.nodes[corner].own);
+        if !block.indicators.are_separate(&ids) {
+            return;
+        }
         let interface = Stratum::interface(ids[0], ids[1]);
         let count = if own[3] == 0 { 3 } else { 4 };
         let middle = own.map(|corner| corners.middle(corner));
@@ -356,16 +364,15 @@ impl Corners {
         };
         let known = [a, b, c, d];
         if count == 2 {
-            let [first, second] = equal_between([a, b], [chosen[0].own, chosen[1].own]);
+            let [first, second] = block.equal_between([a, b], [chosen[0].own, chosen[1].own]);
             return a.position * first + b.position * second;
         }
         // row m contains, for each corner, the indicator of corner m + 1's material minus the
         // indicator of corner 0's material
         let mut rows = [[0.0; 4]; 3];
         for (c, known) in known[..count].iter().enumerate() {
-            let first = value(&known.near, chosen[0].own);
             for (row, node) in rows.iter_mut().zip(&chosen[1..count]) {
-                row[c] = value(&known.near, node.own) - first;
+                row[c] = block.difference(known, [node.own, chosen[0].own]);
             }
         }
         let weights = if count == 3 {

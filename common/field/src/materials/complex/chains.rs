@@ -127,7 +127,7 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
     assembly.complete(indicators, corner);
     let Assembly { points, same, .. } = assembly;
     complex.points = points.all;
-    merge_points(complex, &same, voxel);
+    merge_points(complex, indicators, &same);
     let before = complex.chains.len();
     let is_kept: Vec<bool> = complex
         .chains
@@ -306,7 +306,7 @@ impl Assembly<'_> {
             let smallest = near.entries().first().map_or(f64::INFINITY, |(_, value)| *value);
             let equal = near.entries().iter().filter(|(_, value)| value - smallest < SAME_JUNCTION * voxel);
             let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
-            for own in triples(&ids) {
+            for own in triples(&ids).into_iter().filter(|own| indicators.are_separate(own)) {
                 let Some(curve) = Stratum::new(&own) else { continue };
                 let follower = Follower { indicators, corner, own, undercut: UNDERCUT };
                 for is_along in [true, false] {
@@ -398,8 +398,8 @@ fn merged_sets(complex: &Complex, same: &[[u32; 2]], voxel: f64) -> (DisjointSet
 /// Merges junction points: the pairs in `same`, and points of the same materials that a short chain
 /// joins. Drops the short chains. Removes each point through which all of its curves continue, and
 /// joins the chains of these curves.
-fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
-    let (mut sets, is_short) = merged_sets(complex, same, voxel);
+fn merge_points<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, same: &[[u32; 2]]) {
+    let (mut sets, is_short) = merged_sets(complex, same, indicators.voxel());
     let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for point in 0..complex.points.len() as u32 {
         members.entry(sets.find(point)).or_default().push(point);
@@ -428,8 +428,12 @@ fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
         let ends = at.get(&own).map_or(&[][..], Vec::as_slice);
         let curves: Vec<Stratum> =
             ends.iter().filter_map(|&n| left[same.find(n) as usize].as_ref().map(|chain| chain.curve)).collect();
+        // three materials of one region have no curve
+        let ids = first.stratum.materials();
+        let others = |without: MaterialId| -> Vec<_> { ids.iter().copied().filter(|&id| id != without).collect() };
+        let has_curve = |without: &&MaterialId| indicators.are_separate(&others(**without));
         let of = |without: &MaterialId| curves.iter().filter(|curve| !curve.has(*without)).count();
-        let counts: Vec<usize> = first.stratum.materials().iter().map(of).collect();
+        let counts: Vec<usize> = ids.iter().filter(has_curve).map(of).collect();
         if counts.iter().all(|count| count.is_multiple_of(2)) {
             complex.tally.points_passed += 1;
             pass(own, ends, &mut left, &mut same);

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::materials::tests::{CENTRE, IDS, corners, nested, sampled, sectors};
-use crate::materials::{Analytic, ball, half_space, maximum, minimum, negative};
+use crate::materials::{Analytic, Bound, Bounded, MaterialId, ball, half_space, maximum, minimum, negative};
 use crate::sizing::SizingField;
 use crate::spline::Jet;
 use glam::{DVec2, DVec3};
@@ -265,4 +265,76 @@ fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
         assert_eq!(curves, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]].map(|ids| stratum(&ids)));
         assert!(complex.chains.iter().all(|chain| chain.ends.contains(&End::Point(0))));
     }
+}
+
+/// Planes at some distances (mm) from [`CENTRE`], with perpendicular normals. The first normal is
+/// oblique to the grid.
+fn planes(distances: &[f64]) -> Vec<Bound> {
+    let first = DVec3::new(0.3, -0.4, 1.2).normalize();
+    let normals = [first, first.any_orthonormal_vector()];
+    let bound = |(&distance, normal): (&f64, DVec3)| Bound {
+        name: "cut".to_owned(),
+        point: CENTRE + distance * normal,
+        normal,
+    };
+    distances.iter().zip(normals).map(bound).collect()
+}
+
+#[test]
+fn planes_cut_nested_balls_along_sharp_rims() {
+    let (analytic, bounds) = (nested(CENTRE), planes(&[3.0]));
+    let cut = MaterialId(3);
+    let with_cut = |ids: &[usize]| {
+        let ids: Vec<MaterialId> = ids.iter().map(|&n| IDS[n]).chain([cut]).collect();
+        Stratum::new(&ids).expect("valid")
+    };
+    let errors = |complex: &Complex| {
+        is_closed(complex);
+        assert_eq!((complex.chains.len(), complex.points.len(), complex.interface_components().1), (2, 0, 4));
+        assert!(complex.triangles.iter().all(|triangle| triangle.interface != with_cut(&[0])));
+        for vertex in complex.chains.iter().flat_map(|chain| &chain.vertices) {
+            assert!(bounds[0].distance(complex.vertices[*vertex as usize].position).abs() < 1e-6);
+        }
+        let on_cut = complex.vertices.iter().filter(|vertex| vertex.stratum.has(cut));
+        let off = on_cut.map(|vertex| bounds[0].distance(vertex.position).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-9, "{off}");
+        let (areas, lengths) = (complex.areas(), complex.lengths());
+        let ratios = [
+            areas[&with_cut(&[2])] / (PI * 16.0),
+            areas[&with_cut(&[1])] / (PI * 56.0),
+            areas[&stratum(&[0, 1])] / (2.0 * PI * 9.0 * 12.0),
+            areas[&stratum(&[1, 2])] / (2.0 * PI * 5.0 * 8.0),
+            lengths[&with_cut(&[1, 2])] / (2.0 * PI * 4.0),
+            lengths[&with_cut(&[0, 1])] / (2.0 * PI * 72f64.sqrt()),
+        ];
+        ratios.into_iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max)
+    };
+    let exact = |spacing: f64| {
+        let (grid, analytic) = (grid(spacing), nested(CENTRE));
+        let cells = grid.size.map(|n| n - 1);
+        Complex::of_bricks(&Bounded::new(analytic, &bounds, cut), &grid, &[([0; 3], cells)])
+    };
+    let (coarse, fine) = (errors(&exact(1.0)), errors(&exact(0.5)));
+    assert!(coarse < 0.03 && fine < coarse / 3.0, "{coarse} {fine}");
+    let sampled = |spacing: f64| Complex::new(&sampled(&analytic, spacing).with_bounds(bounds.clone()));
+    let (coarse, fine) = (errors(&sampled(1.0)), errors(&sampled(0.5)));
+    assert!(coarse < 0.03 && fine < coarse / 3.0, "sampled: {coarse} {fine}");
+}
+
+#[test]
+fn two_planes_meet_on_curves_within_the_materials_only() {
+    let bounds = planes(&[3.0, 2.0]);
+    let complex = Complex::new(&sampled(&nested(CENTRE), 0.5).with_bounds(bounds.clone()));
+    is_closed(&complex);
+    assert_eq!((complex.points.len(), complex.tally.points_irregular), (4, 0));
+    for point in &complex.points {
+        let radius = point.position.distance(CENTRE);
+        assert!((radius - 9.0).abs().min((radius - 5.0).abs()) < 0.01, "{point:?}");
+        assert!(bounds.iter().all(|bound| bound.distance(point.position).abs() < 1e-6), "{point:?}");
+    }
+    let lengths = complex.lengths();
+    let of = |id: u16| lengths[&Stratum::new(&[id, 3, 4].map(MaterialId)).expect("three")];
+    let (inner, outer) = (2.0 * 12f64.sqrt(), 2.0 * 68f64.sqrt());
+    assert!((of(2) / inner - 1.0).abs() < 0.01 && (of(1) / (outer - inner) - 1.0).abs() < 0.01, "{lengths:?}");
+    assert!(!lengths.contains_key(&Stratum::new(&[0, 3, 4].map(MaterialId)).expect("three")));
 }
