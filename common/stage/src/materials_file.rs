@@ -8,7 +8,7 @@
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
-use isoparticles_field::materials::{Indicator, IndicatorParts, Material, Materials};
+use isoparticles_field::materials::{Bound, Indicator, IndicatorParts, Material, Materials};
 use isoparticles_file::history::History;
 use isoparticles_volume::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Voxels, vti};
@@ -22,6 +22,13 @@ pub const KIND: &str = "materials";
 
 /// Version of the file layout.
 const VERSION: u32 = 1;
+
+/// Version of files with planes at which the materials end. Programs that do not know these planes
+/// would continue the materials beyond them.
+const VERSION_WITH_BOUNDS: u32 = 2;
+
+/// Name of the text with these planes.
+const BOUNDS: &str = "bounds";
 
 /// The point data, for display. The x index varies fastest.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -96,8 +103,15 @@ impl MaterialsFile {
                 Row { material: material.clone(), first, size, surrounds: own.surrounds(), bricks, coefficients }
             })
             .collect();
-        let texts =
-            [("geometry", ascii_json(geometry)), ("meta", ascii_json(&self.meta)), ("materials", ascii_json(&rows))];
+        let mut texts = vec![
+            ("geometry", ascii_json(geometry)),
+            ("meta", ascii_json(&self.meta)),
+            ("materials", ascii_json(&rows)),
+        ];
+        let bounds = materials.bounds();
+        if !bounds.is_empty() {
+            texts.push((BOUNDS, ascii_json(&bounds)));
+        }
         let indicators = materials.indicators();
         let bricks = indicators.iter().flat_map(|own| own.bricks().iter().copied()).collect();
         let arrays = vec![
@@ -112,7 +126,8 @@ impl MaterialsFile {
         };
         let mut document = Document::new("ImageData");
         vti::open_image(&mut document, geometry);
-        document.identity_with(KIND, VERSION, &texts, arrays, self.history.as_ref());
+        let version = if bounds.is_empty() { VERSION } else { VERSION_WITH_BOUNDS };
+        document.identity_with(KIND, version, &texts, arrays, self.history.as_ref());
         document.open("Piece", &[("Extent", vti::piece_extent(geometry))]);
         document.open("PointData", &[("Scalars", "material".to_owned())]);
         document.array("material", 1, Payload::Values(numbers));
@@ -189,10 +204,10 @@ fn decode(path: &Path, file: &VtkFile) -> Result<MaterialsFile> {
         array.ok_or_else(|| damaged(path, &format!("has no array '{name}' in its field data")))
     };
     let version = file.all_numbers(array("isoparticles_format")?)?.to_f64();
-    if version != [f64::from(VERSION)] {
+    if ![VERSION, VERSION_WITH_BOUNDS].iter().any(|&known| version == [f64::from(known)]) {
         return Err(Error::of_file(
             path,
-            format!("has format version {version:?}; this program reads version {VERSION}"),
+            format!("has format version {version:?}; this program reads versions {VERSION} and {VERSION_WITH_BOUNDS}"),
             "other versions store the data differently",
             "run distfield again",
         ));
@@ -209,9 +224,15 @@ fn decode(path: &Path, file: &VtkFile) -> Result<MaterialsFile> {
     let Voxels::F32(coefficients) = file.all_numbers(array("indicator_coefficients")?)? else {
         return Err(wrong_type("indicator_coefficients"));
     };
+    let bounds: Vec<Bound> = match file.text(image, BOUNDS)? {
+        Some(text) => serde_json::from_str(&text)
+            .map_err(|error| damaged(path, &format!("its planes cannot be read: {error}")))?,
+        None => Vec::new(),
+    };
     let materials = materials_of(path, rows, (&bricks, &coefficients), geometry.size)?;
     let materials = Materials::from_parts(geometry, materials, fill)
-        .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?;
+        .map_err(|error| damaged(path, &format!("its indicators are inconsistent: {error}")))?
+        .with_bounds(bounds);
     let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
     let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
     Ok(MaterialsFile { materials, shown: Shown::default(), meta, history })

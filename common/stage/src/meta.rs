@@ -30,8 +30,10 @@ pub enum Source {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Border {
-    /// Closed by a plane.
+    /// Closed by a plane, with a rounded rim.
     Cap,
+    /// Closed by a plane, with a sharp rim.
+    Flat,
     /// Left open.
     Open,
 }
@@ -147,6 +149,10 @@ pub struct SurfaceMeta {
     /// Treatment of the object at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
+    /// Names of the planes at which the materials end, by the number in the triangle array `cap`,
+    /// from 1.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub caps: Vec<String>,
     /// Descriptions of the failed checks.
     pub failed_checks: Vec<String>,
     /// Expected number of components.

@@ -60,7 +60,7 @@ pub const KEYS: [Key; 40] = [
     key("LABELS", Form::Text, "the labels to mesh"),
     key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),
     key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO on which the object lies"),
-    key("BORDER", Form::OneOf(&["cap", "open"]), "the treatment of the object at the border of the volume"),
+    key("BORDER", Form::OneOf(&["cap", "flat", "open"]), "the treatment of the object at the border of the volume"),
     key(
         "SPACE",
         Form::OneOf(&["lps", "ras", "scanner"]),

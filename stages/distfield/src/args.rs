@@ -2,10 +2,11 @@
 
 use crate::choose::{ScaleArgs, inside_name};
 use crate::crop::Grid;
-use crate::materials::MaterialChoice;
 use crate::materials::overlaps::Overlap;
+use crate::materials::{Cut, MaterialChoice};
 use crate::{Border, Inside, Keep};
 use isoparticles_stage::cli::{CommonArgs, FILES, METHOD};
+use isoparticles_stage::meta;
 use isoparticles_stage::space::SpaceChoice;
 use isoparticles_survey::input::InputArgs;
 use isoparticles_survey::kind::KindChoice;
@@ -83,10 +84,16 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
     /// Treatment of the object at the border of the volume: cap closes the object half a voxel
-    /// beyond the outermost voxel centres, with edges rounded by half a voxel; open extends the
+    /// beyond the outermost voxel centres, with edges rounded by half a voxel; flat closes labels
+    /// there by planes with sharp edges, and names the faces in the planes; open extends the
     /// surface straight out of the volume
-    #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
-    pub border: Border,
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = BorderChoice::Cap, help_heading = METHOD)]
+    pub border: BorderChoice,
+    /// Labels: cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the
+    /// output), and remove the side to which the normal NX,NY,NZ points. The faces in the plane are
+    /// planar with sharp edges, and are named after it; may be repeated
+    #[arg(long, value_name = "plane:X,Y,Z,NX,NY,NZ[=NAME]", allow_hyphen_values = true, help_heading = METHOD)]
+    pub cut: Vec<Cut>,
     /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels on
     /// which F depends near the surface; volume is the whole volume. The surface and its world
     /// coordinates are the same for both
@@ -131,10 +138,52 @@ fn clearance_in_range(text: &str) -> Result<f64, String> {
 /// 0.5, the distance from the voxel centres to the surfaces of the layer.
 const MOST_CLEARANCE: f64 = 0.15;
 
+/// Treatment of the object at the border of the volume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum BorderChoice {
+    /// Close the object with rounded edges.
+    Cap,
+    /// Close the object by planes with sharp edges.
+    Flat,
+    /// Extend the surface straight out of the volume.
+    Open,
+}
+
+impl BorderChoice {
+    /// Returns the treatment of the fields. With flat borders, they extend beyond the planes.
+    pub(crate) fn of_fields(self) -> Border {
+        if self == Self::Cap { Border::Cap } else { Border::Open }
+    }
+
+    /// Returns the value of the option.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Cap => "cap",
+            Self::Flat => "flat",
+            Self::Open => "open",
+        }
+    }
+}
+
+impl From<BorderChoice> for meta::Border {
+    fn from(choice: BorderChoice) -> Self {
+        match choice {
+            BorderChoice::Cap => Self::Cap,
+            BorderChoice::Flat => Self::Flat,
+            BorderChoice::Open => Self::Open,
+        }
+    }
+}
+
 impl Args {
+    /// Returns whether materials end at planes, at the border of the volume or within it.
+    pub(crate) fn has_planes(&self) -> bool {
+        self.border == BorderChoice::Flat || !self.cut.is_empty()
+    }
+
     /// Returns the options that determine the result, for the history of the output file.
     pub(crate) fn to_parameters(&self) -> Value {
-        let (border, keep) = (border_name(self.border), self.keep.to_string());
+        let (border, keep) = (self.border.name(), self.keep.to_string());
         let mut parameters = match (&self.labels, self.iso) {
             _ if !self.material.is_empty() => json!({
                 "material": self.material.iter().map(MaterialChoice::to_string).collect::<Vec<_>>(), "border": border,
@@ -151,6 +200,9 @@ impl Args {
                 })
             }
         };
+        if !self.cut.is_empty() {
+            parameters["cut"] = json!(self.cut.iter().map(Cut::to_string).collect::<Vec<_>>());
+        }
         if let Some(kind) = self.kind.given() {
             parameters["kind"] = json!(kind);
         }
@@ -166,13 +218,5 @@ fn grid_name(grid: Grid) -> &'static str {
     match grid {
         Grid::Object => "object",
         Grid::Volume => "volume",
-    }
-}
-
-/// Returns the value of `--border` for a border treatment.
-fn border_name(border: Border) -> &'static str {
-    match border {
-        Border::Cap => "cap",
-        Border::Open => "open",
     }
 }

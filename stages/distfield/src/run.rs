@@ -2,12 +2,14 @@
 //! not access files, so it can be called as a library. [`materials`] computes several materials.
 
 pub use crate::args::Args;
+use crate::args::BorderChoice;
 use crate::check::check;
 use crate::choose::{Object, ScaleChoice, choose_scale, extract_scaled, inside_name};
 use crate::crop::room_of_spline;
 use crate::input::take_out;
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
+use crate::materials::MaterialChoice;
 use crate::reduce::reduce;
 use crate::report::{LISTED_SURFACES, check_volume, describe, failed_checks, tell_grid};
 use crate::scalar::{ScalarOptions, from_voxels};
@@ -75,6 +77,9 @@ pub struct Made {
 /// If the volume does not contain the selected surface, if there is not enough memory, or if the
 /// run is interrupted.
 pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
+    if args.has_planes() && args.material.is_empty() {
+        return compute(&as_material(args)?, volume, context);
+    }
     for remark in &volume.remarks {
         context.warn(remark);
     }
@@ -85,7 +90,8 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     context.set_parameter(space::FILE_SPACE, space::parameter(volume.file_space));
     let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
     if !args.material.is_empty() {
-        let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
+        let volume =
+            unshear(volume, Wanted::Materials(&args.material), args.border.of_fields(), context).map_err(about_file)?;
         let (file, failed) = materials::compute(args, volume, context).map_err(about_file)?;
         return Ok(Made { distance: DistanceField::Materials(Arc::new(file)), failed });
     }
@@ -96,6 +102,20 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
     let (image, meta, history) = (Arc::new(result.field), json!(meta), Some(context.history()));
     Ok(Made { distance: DistanceField::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
+}
+
+/// Returns the options with the labels of one object as a material, because only materials end at
+/// planes.
+fn as_material(args: &Args) -> Result<Args> {
+    let Some(labels) = args.labels.clone() else {
+        let option = if args.cut.is_empty() { "--border flat" } else { "--cut" };
+        return Err(Error::input(
+            format!("{option} cannot be combined with --iso (ISO)"),
+            "only materials, which are made of labels, end at planes with sharp edges",
+            "leave it out, or segment the volume and select LABELS (--labels)",
+        ));
+    };
+    Ok(Args { material: vec![MaterialChoice::Labels("object".to_owned(), vec![labels])], labels: None, ..args.clone() })
 }
 
 /// Returns the object that the options select. `labels` contains the resolved labels of `--labels`.
@@ -117,19 +137,19 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
         Object::Labels(labels) => Wanted::Labels(labels),
         Object::Iso(iso, inside) => Wanted::Iso(*iso, *inside),
     };
-    let volume = unshear(volume, wanted, args.border, context)?;
+    let volume = unshear(volume, wanted, args.border.of_fields(), context)?;
     let margin = usize::from(args.margin);
     let (volume, found) = object.locate(volume)?;
-    let (mut volume, scale) = choose_scale(&args.scale, volume, object, args.border, context)?;
+    let (mut volume, scale) = choose_scale(&args.scale, volume, object, args.border.of_fields(), context)?;
     let whole = volume.geometry.clone();
     let cut = take_out(args, &mut volume, found, room(margin, &whole, object, scale.as_ref()), context)?;
-    let options = ScalarOptions { inside: args.inside, border: args.border, margin, cut, keep: args.keep };
+    let options = ScalarOptions { inside: args.inside, border: args.border.of_fields(), margin, cut, keep: args.keep };
     let (result, mut notes) = match (scale, object) {
         (Some(scale), _) => extract_scaled(scale, args.scale.keep_thin, volume, object, (args.grid, options), context),
         (None, Object::Labels(labels)) => extract_labels(args, volume, labels, cut, context),
         (None, Object::Iso(iso, _)) => extract_iso(volume, *iso, &options, context),
     }?;
-    let cap_planes = match args.border {
+    let cap_planes = match args.border.of_fields() {
         Border::Cap => cap_planes(&result.field, &whole),
         Border::Open => Vec::new(),
     };
@@ -148,7 +168,7 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
 }
 
 /// Builds the metadata of the file: the fields that later stages read, and the remaining `notes`.
-fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
+fn distance_meta(object: &Object, border: BorderChoice, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
     let mut notes = match notes {
         Value::Object(notes) => notes,
         _ => Map::new(),
@@ -161,10 +181,7 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
             Object::Labels(_) => Source::Labels,
             Object::Iso(..) => Source::Scalar,
         }),
-        border: Some(match border {
-            Border::Cap => meta::Border::Cap,
-            Border::Open => meta::Border::Open,
-        }),
+        border: Some(border.into()),
         cap_planes,
         scale: number("scale"),
         volume_before: number("volume_before"),
@@ -207,7 +224,7 @@ fn extract_labels(
     drop(image);
     let volume_before = mask.inside.count() as f64 * mask.geometry.spacing.element_product();
     let options = LabelOptions {
-        border: args.border,
+        border: args.border.of_fields(),
         margin: usize::from(args.margin),
         cut,
         clearance: args.clearance,

@@ -43,7 +43,7 @@ fn make_with(volume: Volume, border: Border, options: MaterialOptions) -> Made {
     let grid = LabelGrid::new(&volume, &chosen, border, MARGIN);
     let extracted = extract(&grid, &chosen, &options, &Silent).expect("indicators");
     let materials = &extracted.materials;
-    let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &Silent).expect("surveyed");
+    let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &[], &Silent).expect("surveyed");
     Made { grid, extracted, survey }
 }
 
@@ -251,7 +251,7 @@ fn nested_errors(spacing: f64) -> (f64, f64) {
     let place = |n: usize| DVec3::new((n % nodes) as f64, (n / nodes % nodes) as f64, (n / (nodes * nodes)) as f64);
     let numbers = (0..nodes.pow(3)).map(|n| balls.material_at(spacing * place(n)).0).collect();
     let grid = LabelGrid { geometry: geometry.clone(), numbers, border: Border::Cap, margin: 0 };
-    let found = survey(&balls, &geometry, &grid, 3, &Silent).expect("surveyed");
+    let found = survey(&balls, &geometry, &grid, 3, &[], &Silent).expect("surveyed");
     let area = |pair: usize, radius: f64| {
         (found.interfaces[pair].area / (4.0 * std::f64::consts::PI * radius * radius) - 1.0).abs()
     };

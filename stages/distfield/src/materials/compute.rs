@@ -3,6 +3,7 @@
 
 use super::choice::{Chosen, resolve};
 use super::contacts::ContactReport;
+use super::cut::{check_cuts, with_planes};
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::{remove_empty, remove_islands};
@@ -10,7 +11,7 @@ use super::overlaps::{Reassigned, settle};
 use super::scaled::edge_length;
 use super::scales::Scales;
 use super::survey::{Survey, distance_limit, survey};
-use crate::args::Args;
+use crate::args::{Args, BorderChoice};
 use crate::changes::{Changes, Kind, SPECK_SHARE};
 use crate::choose::ScaleArgs;
 use crate::input::take_out;
@@ -56,7 +57,7 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     // beyond them
     let room = longest.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
-    let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into());
+    let mut grid = LabelGrid::new(&volume, &chosen, args.border.of_fields(), args.margin.into());
     drop((volume, step));
     tell_overlaps(&overlaps, &mut grid, &mut chosen, context);
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
@@ -67,7 +68,11 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     tell_scales(range, args, context);
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let step = context.step("materials checked");
-    let found = survey(&materials, materials.geometry(), &grid, tallies.len(), context)?;
+    let at_border = if args.border == BorderChoice::Flat { grid.bounds() } else { Vec::new() };
+    let materials = with_planes(materials, &args.cut, at_border)?;
+    let count = materials.table().len();
+    let found = survey(&materials, materials.geometry(), &grid, count, materials.bounds(), context)?;
+    check_cuts(&args.cut, &materials, &found)?;
     drop(step);
     drop(grid);
     let notes = notes(&materials, &tallies, &found);
@@ -88,10 +93,7 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     };
     let meta = MaterialsMeta {
         version: meta::VERSION,
-        border: Some(match args.border {
-            Border::Cap => meta::Border::Cap,
-            Border::Open => meta::Border::Open,
-        }),
+        border: Some(args.border.into()),
         margin: Some(args.margin.into()),
         distance_limit: Some(distance_limit(materials.geometry())),
         scale: range.map(|[_, longest]| longest),
@@ -195,7 +197,9 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
         Some(choice) => choice,
         None => {
             let _step = context.step("choose the scale");
-            let mut grid = LabelGrid::new(volume, chosen, args.border, args.margin.into());
+            // flat borders close the materials as well
+            let border = if args.border == BorderChoice::Open { Border::Open } else { Border::Cap };
+            let mut grid = LabelGrid::new(volume, chosen, border, args.margin.into());
             let mut table = chosen.table.clone();
             remove_islands(&mut grid, &mut table, args.smallest_island as usize);
             let voxels = grid.numbers.iter().filter(|&&number| number != MaterialId::OUTSIDE.0).count();
@@ -235,7 +239,6 @@ fn tell_scales(range: Option<[f64; 2]>, args: &Args, context: &Context) {
 
 /// Builds the notes on the materials for the output file and the report.
 fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String, Value> {
-    let voxel = materials.geometry().spacing.element_product();
     let row = |(id, tally): (usize, &Tally)| {
         let [before, after] = tally.parts;
         let mut row = json!({
@@ -243,7 +246,7 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
             "name": materials.table()[id].name,
             "labels": materials.table()[id].labels,
             "voxels": tally.voxels,
-            "volume_before": tally.voxels as f64 * voxel,
+            "volume_before": found.volumes_before[id],
             "volume": found.volumes[id],
             "voxels_changed": found.changed[id],
             "undecided_junctions": tally.undecided,
@@ -270,13 +273,12 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
 }
 
 fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &Context) {
-    let voxel = materials.geometry().spacing.element_product();
     let name = |id: usize| materials.table()[id].name.as_str();
     let mut order: Vec<usize> = (1..tallies.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(tallies[id].voxels), id));
     context.summary("number of materials", format!("{} and the outside", order.len()));
     for &id in order.iter().take(MOST_ROWS) {
-        let (tally, before) = (&tallies[id], tallies[id].voxels as f64 * voxel);
+        let (tally, before) = (&tallies[id], found.volumes_before[id]);
         let told = format!(
             "{} voxels, {} -> {} mm^3 ({:+.2} %), {} -> {} components",
             tally.voxels,
@@ -319,9 +321,8 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
 /// Lists the materials whose volumes changed by more than the fraction `limit`, with the largest
 /// material first.
 fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, limit: f64) -> Vec<String> {
-    let voxel = materials.geometry().spacing.element_product();
     let mut changed: Vec<(usize, f64)> = (1..tallies.len())
-        .map(|id| (id, found.volumes[id] / (tallies[id].voxels as f64 * voxel) - 1.0))
+        .map(|id| (id, found.volumes[id] / found.volumes_before[id] - 1.0))
         .filter(|(_, change)| change.abs() > limit)
         .collect();
     changed.sort_by_key(|&(id, _)| (std::cmp::Reverse(tallies[id].voxels), id));

@@ -5,7 +5,8 @@ use super::choice::Chosen;
 use crate::mask::Mask;
 use crate::scale::Coarser;
 use crate::{Border, bits::Bits};
-use isoparticles_field::materials::MaterialId;
+use glam::DVec3;
+use isoparticles_field::materials::{Bound, MaterialId};
 use isoparticles_volume::{Geometry, LayerLabel, Volume};
 use rayon::prelude::*;
 
@@ -93,6 +94,30 @@ impl LabelGrid {
             };
         }
         MaterialId(self.numbers[self.geometry.linear(voxel[0], voxel[1], voxel[2])])
+    }
+
+    /// Returns the planes of the faces of the volume that materials touch, half a voxel beyond the
+    /// outermost voxel centres of the padded grid (grid frame, mm).
+    pub fn bounds(&self) -> Vec<Bound> {
+        let Geometry { size, spacing, .. } = self.geometry;
+        let [nx, ny, _] = size;
+        let is_touched = |axis: usize, layer: usize| {
+            (0..self.numbers.len()).into_par_iter().any(|n| {
+                let voxel = [n % nx, n / nx % ny, n / (nx * ny)];
+                voxel[axis] == layer && self.numbers[n] != MaterialId::OUTSIDE.0
+            })
+        };
+        let face = |axis: usize, is_last: bool| {
+            let layer = if is_last { size[axis] - 1 } else { 0 };
+            let outward = if is_last { DVec3::AXES[axis] } else { -DVec3::AXES[axis] };
+            let centre = (self.margin + layer) as f64 * spacing[axis] * DVec3::AXES[axis];
+            is_touched(axis, layer).then(|| Bound {
+                name: format!("{}{}", ["x", "y", "z"][axis], u8::from(is_last)),
+                point: centre + 0.5 * spacing[axis] * outward,
+                normal: outward,
+            })
+        };
+        (0..3).flat_map(|axis| [false, true].map(|is_last| face(axis, is_last))).flatten().collect()
     }
 
     /// Returns the bounding boxes of all materials, indexed by material number.

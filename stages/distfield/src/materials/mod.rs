@@ -5,12 +5,13 @@
 //! maps voxels to materials; [`islands`] removes small components. [`mod@extract`] computes the
 //! indicators one after the other, by the method for a single object or, if there are [`scales`],
 //! from the level sets of [`scaled`]. [`contacts`] corrects the indicators where several materials
-//! meet. [`survey`] measures the result: the material of every node, volumes, areas, junctions and
-//! changed voxel centres. `compute` performs these steps.
+//! meet. `cut` ends materials at planes. [`survey`] measures the result: the material of every
+//! node, volumes, areas, junctions and changed voxel centres. `compute` performs these steps.
 
 pub mod choice;
 mod compute;
 pub mod contacts;
+mod cut;
 pub mod extract;
 pub mod grid;
 pub mod islands;
@@ -21,5 +22,6 @@ pub mod survey;
 
 pub use choice::MaterialChoice;
 pub(crate) use compute::{check_options, compute};
+pub use cut::Cut;
 pub use extract::{Extracted, MaterialOptions, Tally, extract};
 pub use grid::LabelGrid;

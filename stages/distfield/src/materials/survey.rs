@@ -2,12 +2,13 @@
 //! the volumes of materials, the areas of interfaces, the numbers of junctions, and the voxel
 //! centres that changed material.
 
+use super::cut::share_before;
 use super::grid::LabelGrid;
 use crate::Border;
 use glam::DVec3;
 use isoparticles_field::enclosed::enclosed_volumes;
 use isoparticles_field::marching_cubes::marching_cubes;
-use isoparticles_field::materials::{Indicators, KNOWN_VOXELS, MaterialId};
+use isoparticles_field::materials::{Bound, Indicators, KNOWN_VOXELS, MaterialId};
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image, VoxelBox};
@@ -49,6 +50,8 @@ pub struct Survey {
     pub interface_distance: Vec<f32>,
     /// For each material, the number of its voxel centres where another indicator is smaller.
     pub changed: Vec<usize>,
+    /// Volume of the voxels of each material, mm^3, before the planes at which materials end.
+    pub volumes_before: Vec<f64>,
     /// Volume of each material, mm^3. The outside includes only space within the volume.
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
@@ -79,6 +82,9 @@ struct Sums {
 /// volume of a material is the volume enclosed by the surface where its indicator equals the
 /// smallest of all other indicators.
 ///
+/// `materials` is the number of materials, including the spaces beyond the planes `bounds` at which
+/// they end.
+///
 /// # Errors
 /// If the run is interrupted.
 pub fn survey(
@@ -86,6 +92,7 @@ pub fn survey(
     geometry: &Geometry,
     grid: &LabelGrid,
     materials: usize,
+    bounds: &[Bound],
     monitor: &dyn Monitor,
 ) -> Result<Survey> {
     // beyond an open border, interfaces continue straight but do not belong to the volume
@@ -99,6 +106,7 @@ pub fn survey(
     let sums: Vec<Sums> = slices.map(|k| slice_sums(indicators, geometry, &material, &counted, k)).collect();
     monitor.check()?;
     let mut survey = Survey { changed: vec![0; materials], volumes: vec![0.0; materials], ..Survey::default() };
+    survey.volumes_before = volumes_before(grid, bounds, materials);
     for (id, count) in changed.into_iter().flatten() {
         survey.changed[id.index()] += count;
     }
@@ -129,6 +137,19 @@ pub fn survey(
     Ok(survey)
 }
 
+/// Returns the volume of the voxels of each material (mm^3) before planes.
+fn volumes_before(grid: &LabelGrid, bounds: &[Bound], materials: usize) -> Vec<f64> {
+    let Geometry { size: [nx, ny, _], spacing, .. } = grid.geometry;
+    let mut shares = vec![0.0; materials];
+    for (row, numbers) in grid.numbers.chunks(nx).enumerate() {
+        for (i, &number) in numbers.iter().enumerate() {
+            let voxel = DVec3::from_array([i, row % ny, row / ny].map(|n| (n + grid.margin) as f64));
+            shares[usize::from(number)] += share_before(bounds, voxel * spacing, spacing);
+        }
+    }
+    shares.into_iter().map(|share| share * spacing.element_product()).collect()
+}
+
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
 /// [`distance_limit`]. Also returns, for each slice, the number of counted nodes of each material
 /// where another material has a smaller indicator.
@@ -155,7 +176,8 @@ fn survey_nodes(
                 *material = own.0;
                 *distance = (near.interface_distance() as f32).min(limit);
                 let label = grid.at([i, j, k]);
-                if label != own && counted_at([i, j, k]) {
+                let is_beyond = indicators.region(own) != own;
+                if label != own && !is_beyond && counted_at([i, j, k]) {
                     *changed.entry(label).or_default() += 1;
                 }
             }
