@@ -188,14 +188,18 @@ impl Checker<'_> {
         name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
     }
 
-    /// Compares the edges of more than two triangles with the segments of the junction curves.
+    /// Compares the edges of more than two triangles, or of different interfaces, with the segments
+    /// of the junction curves.
     fn check_curves(&self, report: &mut CheckReport) {
         let Interfaces { between, segments, .. } = self.interfaces;
         report.junctions.segments = segments.len();
         report.junctions.junction_points = self.meeting.iter().filter(|&&count| count > 3).count();
         let (mut spurious, mut is_present) = (Vec::new(), vec![false; segments.len()]);
         if self.kinds.len() > 1 || !segments.is_empty() {
-            for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2) {
+            let differ = |own: &[(Segment, u32)]| {
+                own.iter().any(|own_edge| between[own_edge.1 as usize] != between[own[0].1 as usize])
+            };
+            for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2 || differ(own)) {
                 report.junctions.junction_edges += 1;
                 match segments.binary_search_by_key(&own[0].0, |(pair, _)| *pair) {
                     Ok(n) => {
@@ -230,7 +234,7 @@ impl Checker<'_> {
                     let (mesh, vertices, triangles) = self.interfaces.surface_of(id);
                     self.region(id, &mesh, Some((vertices, triangles)))
                 };
-                self.interfaces.materials().into_par_iter().map(of_material).collect()
+                self.interfaces.regions().into_par_iter().map(of_material).collect()
             }
         };
         let edges = |list: fn(&Region) -> &Vec<Segment>| Simplices::Edges(merged(found.iter().map(list)));
@@ -272,7 +276,7 @@ impl Checker<'_> {
         let mut flux = vec![None; measures.len()];
         for (t, &component) in topology.component_of_triangle.iter().enumerate() {
             let t = whole(t);
-            if let Some(centroid) = self.centroids.get(t).filter(|_| self.interfaces.between[t][0] == id) {
+            if let Some(centroid) = self.centroids.get(t).filter(|_| self.interfaces.regions_of(t as u32)[0] == id) {
                 *flux[component as usize].get_or_insert(0.0) += centroid.flux;
             }
         }

@@ -21,13 +21,17 @@ pub fn segment(a: u32, b: u32) -> Segment {
 pub struct Interfaces {
     /// Vertices in the grid frame, mm, and triangles, counter-clockwise as seen from outside.
     pub mesh: TriangleMesh,
-    /// The materials inside (the higher number) and outside of each triangle.
+    /// The materials inside (the higher number) and outside of each triangle. Outside may be a
+    /// space beyond a plane, whose number is higher than those of all materials.
     pub between: Vec<[MaterialId; 2]>,
     /// Segments of junction curves, ascending, each with its curve. A vertex that is in no triangle
     /// has the number `u32::MAX`.
     pub segments: Vec<(Segment, Stratum)>,
     /// Vertices at which strata are merged.
     pub joined: Vec<Joined>,
+    /// Number of the first space beyond a plane, if there are any
+    /// ([`isoparticles_field::materials::Bounded`]). These spaces belong to the outside.
+    pub first_beyond: Option<MaterialId>,
 }
 
 /// A vertex at which strata that are close together are merged.
@@ -115,9 +119,19 @@ impl Interfaces {
         at
     }
 
-    /// Returns the materials that have triangles, ascending.
-    pub fn materials(&self) -> Vec<MaterialId> {
-        let mut ids: Vec<MaterialId> = self.pairs().into_iter().flatten().collect();
+    /// Returns the region of a material: the outside for a space beyond a plane.
+    pub fn region(&self, id: MaterialId) -> MaterialId {
+        if self.first_beyond.is_some_and(|first| id >= first) { MaterialId::OUTSIDE } else { id }
+    }
+
+    /// Returns the regions inside and outside of a triangle.
+    pub fn regions_of(&self, triangle: u32) -> [MaterialId; 2] {
+        self.between[triangle as usize].map(|id| self.region(id))
+    }
+
+    /// Returns the regions that have triangles, ascending.
+    pub fn regions(&self) -> Vec<MaterialId> {
+        let mut ids: Vec<MaterialId> = self.pairs().into_iter().flatten().map(|id| self.region(id)).collect();
         ids.sort_unstable();
         ids.dedup();
         ids
@@ -132,18 +146,17 @@ impl Interfaces {
         pairs
     }
 
-    /// Returns the closed surface of a material, facing outward, and the indices of its vertices
+    /// Returns the closed surface of a region, facing outward, and the indices of its vertices
     /// and of its triangles in the whole mesh.
     pub fn surface_of(&self, id: MaterialId) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
-        let own: Vec<u32> =
-            (0..self.between.len() as u32).filter(|&t| self.between[t as usize].contains(&id)).collect();
+        let own: Vec<u32> = (0..self.between.len() as u32).filter(|&t| self.regions_of(t).contains(&id)).collect();
         let mut vertices: Vec<u32> = own.iter().flat_map(|&t| self.mesh.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let local = |v: u32| vertices.partition_point(|&u| u < v) as u32;
         let triangle = |&t: &u32| {
             let [a, b, c] = self.mesh.triangles[t as usize].map(local);
-            if self.between[t as usize][0] == id { [a, b, c] } else { [a, c, b] }
+            if self.regions_of(t)[0] == id { [a, b, c] } else { [a, c, b] }
         };
         let mesh = TriangleMesh {
             vertices: vertices.iter().map(|&v| self.mesh.vertices[v as usize]).collect(),

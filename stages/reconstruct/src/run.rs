@@ -156,6 +156,7 @@ fn of_object(
         failed_checks: made.failed,
         components: made.topology.field.components,
         materials: Vec::new(),
+        caps: Vec::new(),
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);

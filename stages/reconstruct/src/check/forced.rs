@@ -35,7 +35,7 @@ mod tests {
         let curve = Stratum::new(&[0, 1, 2].map(MaterialId)).expect("three");
         let segments = vec![([0, 1], curve), ([1, 2], curve)];
         let between = vec![[MaterialId(1), MaterialId(0)]; 2];
-        let interfaces = Interfaces { mesh, between, segments, joined: Vec::new() };
+        let interfaces = Interfaces { mesh, between, segments, ..Interfaces::default() };
         let forced = |meeting: [u8; 4], limit: f64| [0, 1].map(|t| is_forced(&interfaces, &meeting, limit, t));
         assert_eq!(forced([3, 3, 3, 2], 0.3), [false, false], "a segment can be made longer");
         assert_eq!(forced([4, 4, 3, 2], 0.3), [true, false], "a whole curve cannot");

@@ -1,6 +1,6 @@
-//! Moves of vertices on junction curves, where three interfaces meet. A vertex slides along its
-//! curve to maximise the minimum quality, or is merged into a neighbour on the curve. The
-//! acceptance test covers the triangles of all three interfaces together.
+//! Moves of vertices on junction curves, where two or three interfaces meet. A vertex slides along
+//! its curve to maximise the minimum quality, or is merged into a neighbour on the curve. The
+//! acceptance test covers the triangles of all these interfaces together.
 
 use super::constants::{CURVE_DEVIATION, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
 use super::sheets::Freedom;
@@ -19,8 +19,12 @@ impl Surface<'_> {
     /// Returns the projection of `p` onto a curve, or `None` if it fails or is farther than `limit`
     /// (mm).
     fn onto_curve(&self, curve: &Curve, p: DVec3, limit: f64) -> Option<DVec3> {
-        let [first, second, _] = curve.sheets;
-        self.field.project_onto_curve([first, second], p, limit, PROJECTION_TOLERANCE * self.field.voxel())
+        self.field.project_onto_curve(
+            [curve.sheets[0], curve.sheets[1]],
+            p,
+            limit,
+            PROJECTION_TOLERANCE * self.field.voxel(),
+        )
     }
 
     /// Returns the distance (mm) between a curve and the midpoint of two of its points, or infinity
@@ -44,7 +48,7 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
     let start = surface.positions[vertex as usize];
     let ends = curve.ends.map(|end| surface.positions[end as usize]);
     let normal = |sheet: u32| surface.field.value_gradient(sheet, start).1;
-    let normals = curve.sheets.map(|sheet| (sheet, normal(sheet)));
+    let normals: Vec<(u32, DVec3)> = curve.sheets.iter().map(|&sheet| (sheet, normal(sheet))).collect();
     let ring: Vec<(DVec3, DVec3, DVec3)> = surface.around[vertex as usize]
         .iter()
         .zip(surface.link(vertex))

@@ -10,7 +10,7 @@ use isoparticles_field::spline::{CubicSpline, Jet};
 pub enum Freedom {
     /// Anywhere on its interface.
     Sheet,
-    /// Along its junction curve, where three interfaces meet.
+    /// Along its junction curve, where interfaces meet.
     Curve,
     /// Fixed.
     None,
@@ -36,9 +36,8 @@ pub trait Sheets: Sync {
     /// beyond the end of the interface.
     fn project(&self, sheet: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
-    /// Returns the projection of `start` onto the junction curve of two given interfaces and a
-    /// third one. Returns `None` as [`Self::project`] does, and if the interfaces do not meet in a
-    /// curve.
+    /// Returns the projection of `start` onto the junction curve of two interfaces. Returns `None`
+    /// as [`Self::project`] does, and if the interfaces do not meet in a curve.
     fn project_onto_curve(&self, _sheets: [u32; 2], _start: DVec3, _limit: f64, _tolerance: f64) -> Option<DVec3> {
         None
     }

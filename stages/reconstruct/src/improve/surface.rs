@@ -72,12 +72,12 @@ impl Rings {
 }
 
 /// The junction curve at one of its vertices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Curve {
     /// The two neighbours on the curve.
     pub(super) ends: [u32; 2],
-    /// The three interfaces that meet on the curve, ascending.
-    pub(super) sheets: [u32; 3],
+    /// The two or three interfaces that meet on the curve, ascending.
+    pub(super) sheets: Vec<u32>,
 }
 
 /// A mesh that can be edited.
@@ -305,8 +305,8 @@ impl<'a> Surface<'a> {
     }
 
     /// Returns the two triangles of an edge with their third corners. The triangle with the edge
-    /// from `a` to `b` comes first. Returns `None` unless the edge is in exactly two triangles,
-    /// with opposite directions.
+    /// from `a` to `b` comes first. Returns `None` unless the edge is in exactly two triangles, of
+    /// the same interface and with opposite directions.
     pub(super) fn edge_triangles(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
         let (mut left, mut right) = (None, None);
         for &t in &self.around[a as usize] {
@@ -325,7 +325,8 @@ impl<'a> Surface<'a> {
                 }
             }
         }
-        Some([left?, right?])
+        let (left, right) = (left?, right?);
+        (self.sheet[left.0 as usize] == self.sheet[right.0 as usize]).then_some([left, right])
     }
 
     /// Returns whether two vertices are joined by an edge.
@@ -339,23 +340,27 @@ impl<'a> Surface<'a> {
     }
 
     /// Returns the junction curve through a vertex, or `None` if there is none. The triangles of
-    /// the vertex must belong to three interfaces, and those of each interface must form a fan from
-    /// one neighbour on the curve to the other.
+    /// the vertex must belong to two or three interfaces, and those of each interface must form a
+    /// fan from one neighbour on the curve to the other.
     pub(super) fn curve_through(&self, vertex: u32) -> Option<Curve> {
         let fan: Vec<(u32, u32, u32)> = self.around[vertex as usize]
             .iter()
             .zip(self.link(vertex))
             .map(|(&t, (a, b))| (self.sheet[t as usize], a, b))
             .collect();
-        let mut neighbours: Vec<u32> = fan.iter().flat_map(|&(_, a, b)| [a, b]).collect();
-        neighbours.sort_unstable();
-        let times: Vec<(u32, usize)> = neighbours.chunk_by(|a, b| a == b).map(|same| (same[0], same.len())).collect();
-        let mut on_curve = times.iter().filter(|(_, n)| *n == 3).map(|(v, _)| *v);
-        let ends = [on_curve.next()?, on_curve.next()?];
         let mut sheets: Vec<u32> = fan.iter().map(|&(sheet, ..)| sheet).collect();
         sheets.sort_unstable();
         sheets.dedup();
-        let sheets = <[u32; 3]>::try_from(sheets).ok()?;
+        if !(2..=3).contains(&sheets.len()) {
+            return None;
+        }
+        let mut neighbours: Vec<(u32, u32)> = fan.iter().flat_map(|&(sheet, a, b)| [(a, sheet), (b, sheet)]).collect();
+        neighbours.sort_unstable();
+        // an edge of the curve has one triangle of each interface
+        let of_edges = neighbours.chunk_by(|a, b| a.0 == b.0);
+        let mut on_curve =
+            of_edges.filter(|own| own.iter().map(|own| own.1).eq(sheets.iter().copied())).map(|own| own[0].0);
+        let ends = [on_curve.next()?, on_curve.next()?];
         let is_fan = |&sheet: &u32| {
             let mut left: Vec<(u32, u32)> = fan.iter().filter(|own| own.0 == sheet).map(|own| (own.1, own.2)).collect();
             let mut at = ends[0];

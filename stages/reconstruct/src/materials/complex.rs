@@ -55,6 +55,8 @@ impl<'a> Complex<'a> {
         let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
         interfaces.segments = self.segments.all().map(|(pair, curve)| (pair.map(number), curve)).collect();
         interfaces.segments.sort_unstable();
+        let ids = interfaces.between.iter().flatten().copied();
+        interfaces.first_beyond = ids.filter(|&id| self.indicators.region(id) != id).min();
         let joined = self.joined.iter().map(|&v| Joined { vertex: number(v), distance: self.tolerance(v) });
         interfaces.joined = joined.filter(|own| own.vertex != u32::MAX).collect();
         let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();
@@ -134,19 +136,40 @@ impl<'a> Complex<'a> {
         self.labelled.points()
     }
 
-    /// Returns the material of a tetrahedron.
+    /// Returns the region of a tetrahedron.
     pub fn material(&self, tetrahedron: u32) -> MaterialId {
         self.labelled.of(tetrahedron)
     }
 
-    /// Returns the materials inside and outside of a facet.
-    pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
+    /// Returns the regions inside and outside of a facet.
+    pub fn regions_of(&self, facet: &Facet) -> [MaterialId; 2] {
         [self.material(facet.tetrahedron), self.material(self.labelled.across(facet))]
+    }
+
+    /// Returns the materials inside and outside of a facet. Outside is the space beyond a plane if
+    /// all vertices of the facet lie in this plane.
+    pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
+        let [inside, outside] = self.regions_of(facet);
+        if outside != MaterialId::OUTSIDE {
+            return [inside, outside];
+        }
+        let [first, others @ ..] = facet.vertices.map(|v| self.strata[v as usize]);
+        let is_beyond = |id: &&MaterialId| self.indicators.region(**id) != **id;
+        let mut beyond = first.materials().iter().filter(is_beyond);
+        [inside, beyond.find(|&&id| others.iter().all(|stratum| stratum.has(id))).copied().unwrap_or(outside)]
     }
 
     /// Returns whether a material is one of those that meet at a point.
     pub fn meets(&self, point: u32, id: MaterialId) -> bool {
         self.strata[point as usize].has(id)
+    }
+
+    /// Returns the number of regions that meet on a stratum.
+    pub fn region_count(&self, stratum: &Stratum) -> usize {
+        let mut regions = Vec::from_iter(stratum.materials().iter().map(|&id| self.indicators.region(id)));
+        regions.sort_unstable();
+        regions.dedup();
+        regions.len()
     }
 
     /// Returns the mean target edge length h at the given points in mm.
@@ -179,16 +202,18 @@ struct Points<'a> {
 }
 
 impl Points<'_> {
-    /// Returns the material of a tetrahedron: that at its circumcentre, except in thin layers. The
+    /// Returns the region of a tetrahedron: that at its circumcentre, except in thin layers. The
     /// circumcentre may lie far beyond a layer, in a material that does not meet at all four
     /// vertices. The result is then the one of those that meet there with the minimum indicator at
     /// the centroid, if it is close to the centroid.
     fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
         let vertices = delaunay.vertices(tetrahedron);
-        let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
+        let region = |id: MaterialId| self.indicators.region(id);
+        let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| region(self.indicators.material_at(p)));
         let [first, others @ ..] = vertices.map(|v| self.strata[v as usize]);
-        let is_at_others = |id: &MaterialId| others.iter().all(|stratum| stratum.has(*id));
-        let common: Vec<MaterialId> = first.materials().iter().copied().filter(is_at_others).collect();
+        let has = |stratum: &Stratum, own: MaterialId| stratum.materials().iter().any(|&id| region(id) == own);
+        let is_at_others = |id: &MaterialId| others.iter().all(|stratum| has(stratum, *id));
+        let common: Vec<MaterialId> = first.materials().iter().map(|&id| region(id)).filter(is_at_others).collect();
         if common.is_empty() || common.contains(&at_centre) {
             return at_centre;
         }
@@ -200,7 +225,7 @@ impl Points<'_> {
         let least = near.entries().first().map_or(0.0, |(_, value)| *value);
         // deep inside a material, its indicator is minus infinity
         let mut close = near.entries().iter().filter(|(_, value)| *value <= least + 2.0 * reach);
-        close.find(|(id, _)| common.contains(id)).map_or(at_centre, |(id, _)| *id)
+        close.find(|(id, _)| common.contains(&region(*id))).map_or(at_centre, |(id, _)| region(*id))
     }
 }
 

@@ -10,6 +10,7 @@ use crate::offending::offending;
 use crate::options::Options;
 use crate::output::{Made, describe_mesh};
 use crate::volumes::of_materials;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::quality::radius_ratios;
@@ -46,8 +47,9 @@ pub(crate) fn compute(
     }
     // without a scale, voxel centres keep their materials
     let options = Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
-    let table = given.materials.table();
-    let made = reconstruct((&file.particles, strata), &given.materials, table, sizing, &options, context)
+    let (table, caps) = given.materials.table().split_at(given.materials.indicators().len());
+    let names = given.materials.table();
+    let made = reconstruct((&file.particles, strata), &given.materials, names, sizing, &options, context)
         .map_err(|error| about(&args.particles, error))?;
     context.check_interrupt()?;
     tell(&made, context);
@@ -56,7 +58,7 @@ pub(crate) fn compute(
     let pairs: Vec<_> = made.checked.pairs.iter().map(|pair| &pair.between).collect();
     let volumes = of_materials(&told, &made.checked.regions);
     let notes = [("volumes", json!(volumes)), ("refine", json!(made.refined)), ("interfaces", json!(pairs))];
-    let surface = attributes(&made, geometry);
+    let surface = attributes(&made, table.len() as u16, geometry);
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: Some(Source::Labels),
@@ -64,6 +66,7 @@ pub(crate) fn compute(
         failed_checks: made.failed,
         components: made.pieces.iter().map(|own| own.components).sum(),
         materials: table.to_vec(),
+        caps: caps.iter().map(|cap| cap.name.clone()).collect(),
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.interfaces.mesh, &made.checked, geometry, options.keeps_voxels);
@@ -85,18 +88,27 @@ pub(crate) fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Stra
 }
 
 /// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
-/// that meet) and triangles (the two materials, radius ratio).
-fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
+/// that meet) and triangles (the two materials, radius ratio, and the number of the plane at which
+/// the material ends, from 1). The numbers of the spaces beyond planes start with `first_beyond`.
+fn attributes(made: &Reconstruction, first_beyond: u16, geometry: &Geometry) -> Surface {
     let Interfaces { mesh, between, .. } = &made.interfaces;
     let mut surface = Surface::from_grid(mesh, geometry);
     let meeting = made.interfaces.materials_at_vertices().iter().map(|ids| ids.len() as i64).collect();
     surface.point_data = vec![DataArray::scalars("h", made.sizes.clone()), DataArray::integers("materials", meeting)];
-    let side = |n: usize| between.iter().map(|pair| i64::from(pair[n].0)).collect();
+    let side = |n: usize| {
+        let of = |t: u32| i64::from(made.interfaces.regions_of(t)[n].0);
+        (0..between.len() as u32).map(of).collect()
+    };
+    let cap = |pair: &[MaterialId; 2]| i64::from((pair[1].0 + 1).saturating_sub(first_beyond));
+    let caps: Vec<i64> = between.iter().map(cap).collect();
     surface.cell_data = vec![
         DataArray::integers(SIDES[0], side(0)),
         DataArray::integers(SIDES[1], side(1)),
         DataArray::scalars("radius_ratio", radius_ratios(mesh)),
     ];
+    if caps.iter().any(|&cap| cap > 0) {
+        surface.cell_data.push(DataArray::integers("cap", caps));
+    }
     surface
 }
 

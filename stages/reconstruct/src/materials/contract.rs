@@ -317,7 +317,7 @@ mod tests {
         let curve = scenes::stratum(&[0, 1, 2]);
         let segments = [[0, 1], [0, 2], [1, 2]].map(|pair| (pair, curve)).to_vec();
         let mut tetrahedra =
-            Interfaces { mesh: TriangleMesh { vertices, triangles }, between, segments, joined: Vec::new() };
+            Interfaces { mesh: TriangleMesh { vertices, triangles }, between, segments, ..Interfaces::default() };
         let before = tetrahedra.clone();
         assert_eq!(contract(&mut tetrahedra, &mut vec![0, 0, 0, 2, 2], &|_| 100.0), 0);
         assert_eq!(tetrahedra, before);

@@ -47,7 +47,7 @@ pub struct Ball {
 impl Complex<'_> {
     /// Returns the facets between materials at an edge, sorted by their tetrahedra. `runs` is the
     /// result of [`Self::runs_round`].
-    fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
+    pub(super) fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
         let delaunay = self.labelled.delaunay();
         let facet = |t: u32| {
             let own = boundary_facets_of(delaunay, t, |t| self.material(t));
@@ -84,7 +84,7 @@ impl Complex<'_> {
     /// and the two materials there.
     fn crossing(&self, facet: &Facet) -> Option<(DVec3, [MaterialId; 2])> {
         let inside = self.material(facet.tetrahedron);
-        let is_inside = |p: DVec3| self.indicators.material_at(p) == inside;
+        let is_inside = |p: DVec3| self.indicators.region(self.indicators.material_at(p)) == inside;
         let (low, high) = self.labelled.dual_crossing(facet, is_inside, self.indicators.voxel())?;
         Some((low.midpoint(high), [inside, self.indicators.material_at(high)]))
     }

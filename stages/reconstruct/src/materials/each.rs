@@ -42,7 +42,7 @@ impl<'a> MaterialSurfaces<'a> {
 
     /// Returns the surface of each material except the outside, one at a time.
     pub fn each(self) -> impl Iterator<Item = MaterialSurface<'a>> {
-        let ids = self.interfaces.materials().into_iter().filter(|id| *id != MaterialId::OUTSIDE);
+        let ids = self.interfaces.regions().into_iter().filter(|id| *id != MaterialId::OUTSIDE);
         ids.filter_map(move |id| self.surface_of(id))
     }
 

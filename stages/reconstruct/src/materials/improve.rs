@@ -53,7 +53,7 @@ impl Sheets for Differences<'_> {
     }
 
     fn sides(&self, sheet: u32) -> [u32; 2] {
-        self.pair(sheet).map(|id| u32::from(id.0))
+        self.pair(sheet).map(|id| u32::from(self.indicators.region(id).0))
     }
 
     fn voxel(&self) -> f64 {

@@ -20,11 +20,18 @@ use rayon::prelude::*;
 /// Maximum distance from a node to the interface that is searched for, in voxels.
 const REACH: f64 = 2.0;
 
+/// Distance from an interface, in voxels, below which a node can belong to either side. Only planes
+/// that cut materials pass this close to nodes. Triangles in such a plane deviate from it by the
+/// rounding error of their corners, which is far smaller.
+const ON_PLANE: f64 = 1e-6;
+
 /// The material of each grid node.
 pub struct Nodes {
     geometry: Geometry,
     /// Material numbers, x fastest.
     material: Vec<u16>,
+    /// Nodes on an interface ([`ON_PLANE`]), ascending.
+    undecided: Vec<usize>,
 }
 
 /// A triangle between two materials, with corners in the grid frame.
@@ -34,15 +41,18 @@ impl Nodes {
     /// Computes the material of each node of a grid from the indicators.
     pub fn new(geometry: &Geometry, indicators: &dyn Indicators) -> Self {
         let [nx, ny, nz] = geometry.size;
+        let least = ON_PLANE * indicators.voxel();
         let row = |row: usize| {
             let (j, k) = (row % ny, row / ny);
             (0..nx).map(move |i| {
-                let place = geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
-                indicators.material_at(place).0
+                let near = indicators.near(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)));
+                let own = indicators.region(near.first().unwrap_or(MaterialId::OUTSIDE));
+                (own.0, near.interface_distance() < least)
             })
         };
-        let material = (0..ny * nz).into_par_iter().flat_map_iter(row).collect();
-        Self { geometry: geometry.clone(), material }
+        let (material, is_undecided): (Vec<u16>, Vec<bool>) = (0..ny * nz).into_par_iter().flat_map_iter(row).unzip();
+        let undecided = (0..is_undecided.len()).filter(|&node| is_undecided[node]).collect();
+        Self { geometry: geometry.clone(), material, undecided }
     }
 
     /// Returns the grid.
@@ -62,8 +72,8 @@ impl Nodes {
 
     /// Returns the nodes, ascending, that lie in another material of the mesh.
     pub fn wrong_by(&self, interfaces: &Interfaces) -> Vec<usize> {
-        let wall = |t: usize| (interfaces.mesh.corners(t), interfaces.between[t]);
-        self.wrong_by_walls((0..interfaces.between.len()).into_par_iter().map(wall))
+        let wall = |t: u32| (interfaces.mesh.corners(t as usize), interfaces.regions_of(t));
+        self.wrong_by_walls((0..interfaces.between.len() as u32).into_par_iter().map(wall))
     }
 
     /// Returns the nodes, ascending, that lie in another material according to the given triangles.
@@ -95,13 +105,14 @@ impl Nodes {
             })
         };
         let rows = (0..self.material.len() / nx.max(1)).into_par_iter();
-        rows.flat_map_iter(|row| of_row(row).map(move |i| row * nx + i)).collect()
+        let wrong = rows.flat_map_iter(|row| of_row(row).map(move |i| row * nx + i));
+        wrong.filter(|node| self.undecided.binary_search(node).is_err()).collect()
     }
 
     /// Returns the nodes, ascending, that lie in tetrahedra of another material. `facets` are all
     /// facets of the complex.
     pub(super) fn wrong(&self, complex: &Complex, facets: &[Facet]) -> Vec<usize> {
-        let wall = |f: &Facet| (f.vertices.map(|v| complex.points()[v as usize]), complex.sheet(f));
+        let wall = |f: &Facet| (f.vertices.map(|v| complex.points()[v as usize]), complex.regions_of(f));
         self.wrong_by_walls(facets.par_iter().map(wall))
     }
 
@@ -155,7 +166,10 @@ impl Nodes {
         if found == own {
             return None;
         }
-        let nearest = complex.indicators.near(place).entries().get(1).map(|(id, _)| *id);
+        let near_node = complex.indicators.near(place);
+        let ids = || near_node.entries().iter().map(|(id, _)| *id);
+        let nearest = ids().find(|&id| complex.indicators.region(id) != own);
+        let own = ids().next().unwrap_or(own);
         let limit = REACH * complex.indicators.voxel();
         let on = |other: MaterialId| {
             let stratum = (other != own).then(|| Stratum::interface(own, other))?;
@@ -205,7 +219,7 @@ impl Nodes {
         let passes_by = |f: &Facet| {
             let [a, b, c] = f.vertices.map(|v| complex.points()[v as usize]);
             let outside = (place - a).dot((b - a).cross(c - a)) > 0.0;
-            let [i, j] = complex.sheet(f);
+            let [i, j] = complex.regions_of(f);
             own == i && outside || own == j && !outside
         };
         let longest = |f: &Facet| {

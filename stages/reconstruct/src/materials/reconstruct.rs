@@ -138,7 +138,12 @@ pub fn reconstruct(
     let checked = check(&interfaces, &how);
     let mut failed = checked.failed.clone();
     let pieces = match checked.offenders.get(&Fault::NodesOnWrongSide) {
-        Some(Simplices::Nodes(wrong)) => pieces(&nodes, wrong, table),
+        Some(Simplices::Nodes(wrong)) => {
+            // the spaces beyond planes are at the end of the table
+            let is_region = |(id, _): &(u16, &Material)| indicators.region(MaterialId(*id)) == MaterialId(*id);
+            let count = (0..).zip(table).take_while(is_region).count();
+            pieces(&nodes, wrong, &table[..count])
+        }
         _ => Vec::new(),
     };
     failed.extend(missing(&pieces));

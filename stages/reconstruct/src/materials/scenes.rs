@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 use isoparticles_field::materials::{
-    Analytic, Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, half_space, maximum, negative,
+    Analytic, Bound, Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, half_space, maximum,
+    negative,
 };
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::random::uniform;
@@ -59,6 +60,11 @@ impl Scene {
     /// Returns particles about h apart: equidistant on curves, random on interfaces. Each particle
     /// on an interface is at least `share` h from all others.
     pub(super) fn particles(&self, h: f64, share: f64) -> (ParticleSet, Strata) {
+        self.particles_on(&self.analytic, h, share)
+    }
+
+    /// Returns particles like [`Self::particles`], on the interfaces of other indicators.
+    pub(super) fn particles_on(&self, indicators: &dyn Indicators, h: f64, share: f64) -> (ParticleSet, Strata) {
         let mut positions: Vec<DVec3> = self.points.iter().map(|(_, p)| *p).collect();
         let mut of: Vec<Stratum> = self.points.iter().map(|(ids, _)| stratum(ids)).collect();
         let mut segments = Vec::new();
@@ -83,11 +89,11 @@ impl Scene {
         let tries = (60.0 * (self.extent / h).powi(3)) as u64;
         for n in 0..tries {
             let start = self.extent * DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
-            let near = self.analytic.near(start);
+            let near = indicators.near(start);
             let [(i, _), (j, _), ..] = near.entries() else { continue };
-            let Some(p) = self.analytic.project_onto_interface([*i, *j], start, 2.0 * h, 1e-10) else { continue };
+            let Some(p) = indicators.project_onto_interface([*i, *j], start, 2.0 * h, 1e-10) else { continue };
             let is_inside = p.min_element() >= 0.0 && p.max_element() <= self.extent;
-            if !is_inside || self.analytic.clearance(p, &[*i, *j]) <= 0.0 {
+            if !is_inside || !indicators.are_separate(&[*i, *j]) || indicators.clearance(p, &[*i, *j]) <= 0.0 {
                 continue;
             }
             if !bins.near(p).any(|q: &DVec3| q.distance(p) < spacing) {
@@ -121,6 +127,31 @@ pub(super) fn shell(outer: f64, inner: f64) -> Scene {
     let between = maximum(ball(CENTRE, outer), negative(ball(CENTRE, inner)));
     let analytic = Analytic::new(vec![negative(ball(CENTRE, outer)), between, ball(CENTRE, inner)], 1.0);
     Scene { analytic, extent: 24.0, points: Vec::new(), curves: Vec::new() }
+}
+
+/// Distance of the plane of [`cut`] from the centre of the balls, mm.
+pub(super) const CUT: f64 = 3.0;
+
+/// Returns the plane at which the balls of [`cut`] end. It is oblique to the grid.
+pub(super) fn plane() -> Bound {
+    let normal = DVec3::new(0.3, -0.4, 1.2).normalize();
+    Bound { name: "cut".to_owned(), point: CENTRE + CUT * normal, normal }
+}
+
+/// The balls of [`nested`], cut by [`plane`] along two circles.
+pub(super) fn cut() -> Scene {
+    let Bound { point, normal, .. } = plane();
+    let u = normal.any_orthonormal_vector();
+    let v = normal.cross(u);
+    let rim = |radius: f64, ids: [u16; 3]| {
+        let radius = (radius * radius - CUT * CUT).sqrt();
+        let way = move |x: f64| {
+            let (sine, cosine) = (TAU * x).sin_cos();
+            point + radius * (cosine * u + sine * v)
+        };
+        Curve { ids, way: Box::new(way), length: TAU * radius, closed: true, ends: [0, 0] }
+    };
+    Scene { curves: vec![rim(9.0, [0, 1, 3]), rim(5.0, [1, 2, 3])], ..nested() }
 }
 
 /// Radius of the ball of [`sectors`], mm.

@@ -82,6 +82,40 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
 }
 
 #[test]
+fn materials_end_at_a_plane_with_a_sharp_rim() {
+    let (scene, plane) = (scenes::cut(), scenes::plane());
+    let errors = |h: f64, keeps_voxels: bool| {
+        let materials = scene.sampled(0.5).with_bounds(vec![plane.clone()]);
+        let (particles, strata) = scene.particles_on(&materials, h, 0.75);
+        let options = Options { keeps_voxels, ..Options::default() };
+        let table = materials.table();
+        let made = reconstruct((&particles, &strata), &materials, table, None, &options, &Silent).expect("on strata");
+        assert_eq!(made.failed, Vec::<String>::new(), "h = {h}");
+        if keeps_voxels {
+            assert_sound(&made, "cut");
+        }
+        assert_eq!(made.checked.junctions.junction_edges, made.checked.junctions.segments);
+        assert_eq!(made.checked.regions.len(), 3, "the outside and two balls");
+        let beyond = MaterialId(3);
+        for (triangle, pair) in made.interfaces.mesh.triangles.iter().zip(&made.interfaces.between) {
+            assert_ne!(*pair, [beyond, MaterialId::OUTSIDE]);
+            let places = triangle.map(|v| made.interfaces.mesh.vertices[v as usize]);
+            assert!(pair[1] != beyond || places.iter().all(|p| plane.distance(*p).abs() < 1e-6), "{places:?}");
+        }
+        let height = |radius: f64| radius + scenes::CUT;
+        let volume = |radius: f64| PI * height(radius).powi(2) * (3.0 * radius - height(radius)) / 3.0;
+        let area = |id: u16| measure(&made.interfaces.part([MaterialId(id), beyond])).area;
+        let [shell, core] = volumes(&made)[..] else { panic!("two") };
+        let ratios =
+            [core / volume(5.0), shell / (volume(9.0) - volume(5.0)), area(2) / (PI * 16.0), area(1) / (PI * 56.0)];
+        ratios.into_iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max)
+    };
+    errors(1.5, true);
+    let [coarse, fine] = [2.0, 1.0].map(|h| errors(h, false));
+    assert!(coarse < 0.1 && fine < coarse / 3.0, "{coarse} {fine}");
+}
+
+#[test]
 fn volumes_and_areas_converge_to_second_order() {
     let error = |scene: &Scene, h: f64, truth: &dyn Fn(&Reconstruction) -> f64| {
         let made = made(scene, &scene.analytic, h, false);
@@ -122,7 +156,7 @@ fn volumes_and_areas_converge_to_second_order() {
 fn junction_curves_are_exact_and_interfaces_meet_at_120_degrees() {
     let scene = scenes::sectors();
     let made = made(&scene, &scene.analytic, 1.0, true);
-    let Interfaces { mesh, between, segments, joined } = &made.interfaces;
+    let Interfaces { mesh, between, segments, joined, first_beyond: _ } = &made.interfaces;
     assert!(joined.is_empty(), "no curves are one here");
     let at = |v: u32| mesh.vertices[v as usize] - CENTRE;
     let axis = stratum(&[1, 2, 3]);

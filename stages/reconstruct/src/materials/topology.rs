@@ -130,22 +130,43 @@ impl Complex<'_> {
     }
 
     /// Returns the violation at a segment, if there is one. A segment must be an edge around which
-    /// each of the three materials of its curve forms one run. For four materials, three are
-    /// enough, because the material between merged curves has no width. `start` is a tetrahedron at
-    /// the segment.
+    /// each of the regions of its curve forms one run. For four regions, three are enough, because
+    /// the material between merged curves has no width. For two, at the rim of a plane, the facets
+    /// must belong to two interfaces. `start` is a tetrahedron at the segment.
     pub(super) fn wrong_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Reason> {
         let Some(start) = start else { return Some(Reason::Segment) };
         let runs = self.runs_round(pair, start);
         let mut ids: Vec<MaterialId> = runs.iter().map(|run| self.material(run[0])).collect();
         ids.sort_unstable();
-        let is_right = ids.len() > 2 && ids.iter().all(|&id| curve.has(id)) && ids.is_sorted_by(|a, b| a < b);
+        let expected = self.region_count(&curve).min(3);
+        let is_on_curve = |&id: &MaterialId| curve.materials().iter().any(|&own| self.indicators.region(own) == id);
+        let is_right = ids.len() >= expected
+            && ids.iter().all(is_on_curve)
+            && ids.is_sorted_by(|a, b| a < b)
+            && (expected > 2 || self.joins_interfaces(pair, &runs));
         (!is_right).then_some(Reason::Ring)
     }
 
+    /// Returns whether the facets at an edge belong to several interfaces.
+    fn joins_interfaces(&self, edge: Segment, runs: &[Vec<u32>]) -> bool {
+        let sheets: Vec<_> = self.facets_between(edge, runs).iter().map(|facet| self.sheet(facet)).collect();
+        sheets.iter().any(|sheet| *sheet != sheets[0])
+    }
+
     /// Returns the violation at an edge that is not a segment, if there is one. The edge must be in
-    /// two facets or in none. `start` is a tetrahedron at the edge.
+    /// two facets of one interface or in none. `start` is a tetrahedron at the edge.
     pub(super) fn wrong_plain_edge(&self, edge: Segment, start: u32) -> Option<Reason> {
-        (self.runs_round(edge, start).len() > 2).then_some(Reason::Edge)
+        let runs = self.runs_round(edge, start);
+        let is_on_plane = |&v: &u32| {
+            let ids = self.strata[v as usize];
+            ids.materials().iter().any(|&id| self.indicators.region(id) != id)
+        };
+        let is_wrong = match runs.len() {
+            0 | 1 => false,
+            2 => edge.iter().all(is_on_plane) && self.joins_interfaces(edge, &runs),
+            _ => true,
+        };
+        is_wrong.then_some(Reason::Edge)
     }
 
     /// Returns the violation at a vertex, if there is one. Around the vertex, each material must

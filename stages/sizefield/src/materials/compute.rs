@@ -81,7 +81,7 @@ fn by_shape(
     context: &Context,
 ) -> Result<SizingField> {
     let parameters = resolve(args, materials, refined, context)?;
-    let largest = LargestSizes::new(args, complex, materials.table().len(), parameters.min_size);
+    let largest = LargestSizes::new(args, complex, materials.indicators().len(), parameters.min_size);
     let mut wanted = vec![f64::INFINITY; complex.vertices.len()];
     match args.uniform {
         Some(size) => {
@@ -168,7 +168,7 @@ impl LargestSizes {
         let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); materials];
         for vertex in &complex.vertices {
             for id in vertex.stratum.materials() {
-                let (low, high) = &mut boxes[id.index()];
+                let Some((low, high)) = boxes.get_mut(id.index()) else { continue };
                 (*low, *high) = (low.min(vertex.position), high.max(vertex.position));
             }
         }
@@ -182,10 +182,10 @@ impl LargestSizes {
     }
 
     /// Returns the maximum h of an interface: the smaller of the maxima of its two materials. The
-    /// outside is ignored.
+    /// outside and the spaces beyond planes are ignored.
     fn of(&self, interface: &Stratum) -> f64 {
         let named = interface.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
-        named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
+        named.filter_map(|id| self.0.get(id.index()).copied()).fold(f64::INFINITY, f64::min)
     }
 
     fn largest(&self) -> f64 {

@@ -142,8 +142,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
 
     /// Returns the thickness (mm) of the thinner of the two materials at a point of an interface.
     /// Rays follow the normal in both directions; the normal points from `high` to `low`. A
-    /// thickness is infinite if it exceeds the limit, or if the ray ends at an interface that meets
-    /// this interface nearby.
+    /// thickness is infinite if it exceeds the limit, if the ray leaves the materials through a
+    /// plane at which they end, or if it ends at an interface that meets this interface nearby.
     fn thinner(&self, place: DVec3, normal: DVec3, (low, high): (MaterialId, MaterialId)) -> f64 {
         let sides = [(normal, low, high), (-normal, high, low)];
         let thickness = |(way, across, behind): (DVec3, MaterialId, MaterialId)| {
@@ -169,7 +169,7 @@ impl<'a, I: Indicators> Ways<'a, I> {
             let near = self.indicators.near(at);
             let own = near.first().unwrap_or(MaterialId::OUTSIDE);
             if own != across {
-                return Some((length, own));
+                return self.indicators.are_separate(&[own, across]).then_some((length, own));
             }
             let known = Some(near.interface_distance()).filter(|distance| distance.is_finite()).unwrap_or(0.0);
             length += (STEP_SHARE * known.max(trilinear(&self.free, at))).max(LEAST_STEP * voxel);
