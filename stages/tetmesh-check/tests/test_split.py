@@ -72,7 +72,7 @@ def joined(
     surface, mesh = surface_and_mesh(material, warp=warp)
     assert surface.sides is not None
     found = conform(len(mesh.points), mesh.tetrahedra, surface.triangles, surface.sides)
-    parts = find_parts(surface, None, more.get("tags", []), more.get("sets", []), splits)
+    parts = find_parts(surface, None, more.get("tags", []), more.get("sets", []), splits, more.get("layers", []))
     return mark(surface, mesh, found, parts, None, quiet_context()), parts, surface
 
 

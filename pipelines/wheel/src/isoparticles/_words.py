@@ -15,7 +15,7 @@ from isoparticles import _native
 NOT_FOR_TETRAHEDRA = frozenset(
     (
         *("output", "sizefield", "distfield", "labels-volume", "export", "for", "unit", "order", "pictures"),
-        *("density", "calibrate", "law", "density-of", "bins", "tag", "set", "sets", "split", "gap"),
+        *("density", "calibrate", "law", "density-of", "bins", "tag", "set", "sets", "split", "gap", "layers"),
         *("fibres", "endo", "endo-rv", "epi", "base", "apex", "helix", "helix-rv", "sheet"),
         *("verbose", "quiet", "force", "report", "progress", "version", "help"),
     )

@@ -12,11 +12,14 @@ from tetmesh_check.checks import Limits
 from tetmesh_check.density.arguments import DensityArguments, check_material
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.formats import export_paths
+from tetmesh_check.export.mesh import plain_names
 from tetmesh_check.export.profiles import PROFILES
 from tetmesh_check.fem.currents import ForwardArguments, check_names
 from tetmesh_check.fibres.arguments import FibreArguments, check_tissue
-from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, options
+from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS, PRISMLESS_FORMATS, options
 from tetmesh_check.parts.algebra import Definition
+from tetmesh_check.parts.layers import Layers
+from tetmesh_check.parts.names import OBJECT_NAMES
 from tetmesh_check.parts.splits import Split
 from tetmesh_check.parts.tags import Tag
 
@@ -75,6 +78,8 @@ class Arguments:
     sets: tuple[Definition, ...] = ()
     splits: tuple[Split, ...] = ()
     """The interfaces to split, with the widths of their gaps."""
+    layers: tuple[Layers, ...] = ()
+    """The prism layers on walls."""
 
     @property
     def name(self) -> str:
@@ -115,6 +120,7 @@ class Arguments:
                 f"{self.profile} expects exactly one surface per tissue, and no other groups",
                 "omit these options, or use --export",
             )
+        self._refuse_with_layers()
         if self.order == 1:
             return
         if gaps := [split.text for split in self.splits if split.width]:
@@ -129,13 +135,32 @@ class Arguments:
                 "the midpoints of surface edges are moved onto the zero set of the distance field",
                 "add --distfield CASE.distfield.vti",
             )
-        if linear := [kind for kind in self.exports if kind in LINEAR_FORMATS]:
-            option = f"--for {self.profile}" if self.profile else f"--export {','.join(linear)}"
+        self._refuse_formats(LINEAR_FORMATS, "quadratic elements", "--order 2", "--order 2")
+
+    def _refuse_with_layers(self) -> None:
+        """Refuse what prism layers do not support."""
+        if not self.layers:
+            return
+        for option, is_given, why in (
+            ("--order 2", self.order == 2, "there are no quadratic prisms"),
+            ("--split or --gap", self.splits, "layers and gaps would move the same nodes"),
+            ("--density", self.density, "only tetrahedra get a density"),
+            ("--fibres", self.fibres, "only tetrahedra get fibres"),
+            ("--for fenicsx", self.profile == "fenicsx", "dolfinx reads one kind of element"),
+        ):
+            if is_given:
+                raise StageError(f"{self.layers[0].told} with {option}", why, "omit one of the two options")
+        self._refuse_formats(PRISMLESS_FORMATS, "prisms", self.layers[0].told, "--layers")
+
+    def _refuse_formats(self, lacking: tuple[str, ...], elements: str, given: str, option: str) -> None:
+        """Refuse exports in formats without these elements, which ``option`` makes."""
+        if found := [kind for kind in self.exports if kind in lacking]:
+            export = f"--for {self.profile}" if self.profile else f"--export {','.join(found)}"
             raise StageError(
-                f"{option} with --order 2",
-                f"{', '.join(linear)} cannot store quadratic elements",
-                f"omit {option if self.profile else ', '.join(linear)}, or use --order 1; quadratic elements are "
-                f"supported by {', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)}",
+                f"{export} with {given}",
+                f"{', '.join(found)} files have no {elements}",
+                f"omit {export if self.profile else ', '.join(found)}, or omit {option}; {elements} are supported by "
+                f"{', '.join(kind for kind in FORMATS if kind not in lacking)}",
             )
 
     def check_material_names(self, names: Sequence[str]) -> None:
@@ -143,6 +168,14 @@ class Arguments:
         check_names(self.forward, names)
         check_material(self.density, names)
         check_tissue(self.fibres, names)
+        known = names or OBJECT_NAMES[1:]
+        for layers in self.layers:
+            if layers.material and layers.material not in (*known, *plain_names(list(known))):
+                raise StageError(
+                    f"{layers.told}: there is no material '{layers.material}'",
+                    "the layers are made from its elements",
+                    f"use one of {', '.join(known)}",
+                )
         number = PROFILES[self.profile].number if self.profile else None
         if number is not None:
             number(names)
@@ -179,4 +212,5 @@ class Arguments:
             **({} if not self.tags else {"tags": {tag.name: tag.text for tag in self.tags}}),
             **({} if not self.sets else {"sets": {one.name: one.text for one in self.sets}}),
             **({} if not self.splits else {"splits": [split.text for split in self.splits]}),
+            **({} if not self.layers else {"layers": [layers.wall.text for layers in self.layers]}),
         }

@@ -105,7 +105,8 @@ def _check_options(known: str, words: list[str]) -> None:
         if path is not None and not path.exists():
             raise file_error(path, "read", FileNotFoundError("it is not there"), f"check {option}")
     fibres = arguments.fibres.sets if arguments.fibres else ()
-    check_early(arguments.tags, arguments.sets, materials, fibres, arguments.splits)
+    walls = tuple(layers.wall for layers in arguments.layers)
+    check_early(arguments.tags, arguments.sets, materials, fibres + walls, arguments.splits)
     if materials is not None:
         # the first is the outside
         arguments.check_material_names(materials[1:])
@@ -137,6 +138,7 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         "tags": tuple(parsed.tags),
         "sets": (*(read_definitions(parsed.sets_file) if parsed.sets_file else ()), *parsed.sets),
         "splits": (*parsed.splits, *parsed.gaps),
+        "layers": tuple(parsed.layers),
     }
     arguments = Arguments(**{field.name: given[field.name] for field in fields(Arguments)})
     arguments.refuse()

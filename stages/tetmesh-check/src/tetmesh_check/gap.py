@@ -19,31 +19,19 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.numerals import plain
 from tetmesh_check.parts.model import Parts, SplitInterface
+from tetmesh_check.push import NOISE, SHARP, Followers, normal_system, normals_of, solve_in_turn
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, centres_of, tetrahedron_quality
 from tetmesh_check.surface import Surface
 
 TOLERANCE = 0.01
 """Maximum difference between the distance of the sides and the width of the gap, relative to it."""
-_SHARP = np.cos(np.radians(8.0))
-"""Cosine of the maximum angle between the normals of a node and of its triangles, where distances
-are checked. At such an edge, the sides are 1 / cos(8 degrees) = 1.01 times as far apart as beside
-it. If the mean of both distances is the gap, each is within half of :data:`TOLERANCE`."""
-_NOISE = 1.0 - _SHARP**2
-"""Minimum mean square of the normals' components along a direction in which they determine the
-movement of a node: sin^2 of the angle of :data:`_SHARP`."""
 _OBLIQUE = 0.25
-"""The same minimum for the normals of the surfaces on which a node slides: sin^2(30 degrees). At a
-smaller angle to the interface, sliding would move the node by more than the gap."""
+"""Like :data:`.NOISE`, for the normals of the surfaces on which a node slides: sin^2(30 degrees).
+At a smaller angle to the interface, sliding would move the node by more than the gap."""
 _ROUNDS = 40
 """Maximum number of corrections of the lengths. They end when the maximum error is below
 :data:`TOLERANCE`: after 3 on the wavy plates of ``test_gap.py``, and after 8 there with a gap of
 0.6 mm."""
-_LAYERS = 4
-"""Layers of elements that follow the sides. In the ball of ``test_gap.py`` with a gap of 0.8 mm,
-the minimum dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and 8."""
-_SWEEPS = 60
-"""Sweeps of Jacobi's method for the interior nodes. The error in :data:`_LAYERS` layers falls by
-cos(pi / 5) = 0.81 in each, so by more than 1e5 in all."""
 
 
 class _Side(NamedTuple):
@@ -166,16 +154,6 @@ def _describe(mesh: MarkedMesh, interface: SplitInterface, pair: _Pair, points: 
     return found
 
 
-def _normals(points: Points, triangles: Cells) -> tuple[Points, Points]:
-    """Return the unit normals of triangles, and their angles, shape ``(m, 3)``."""
-    corners = points[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    edges = np.roll(corners, -1, axis=1) - corners
-    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
-    angles = np.arccos(np.clip(-np.einsum("mij,mij->mi", edges, np.roll(edges, 1, axis=1)), -1.0, 1.0))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True), angles
-
-
 def _sides(mesh: MarkedMesh, interface: SplitInterface) -> _Pair:
     """Return the two sides of a split interface, before they move."""
     own = [np.isin(mesh.marks, numbers) for numbers in (interface.first, interface.second)]
@@ -185,7 +163,7 @@ def _sides(mesh: MarkedMesh, interface: SplitInterface) -> _Pair:
     found = []
     for corners in triangles:
         nodes = np.unique(corners)
-        normals, angles = _normals(mesh.points, corners)
+        normals, angles = normals_of(mesh.points, corners)
         local = np.searchsorted(nodes, corners)
         mean = np.zeros((len(nodes), 3))
         np.add.at(mean, local, angles[:, :, None] * normals[:, None, :])
@@ -195,7 +173,7 @@ def _sides(mesh: MarkedMesh, interface: SplitInterface) -> _Pair:
         tapers = np.isin(nodes, corners[np.isin(corners, shared).any(axis=1)])
         is_inner = ~(tapers | np.isin(nodes, at_rim))
         found.append(
-            _Side(corners, nodes, tapers, local, is_inner & (cosine > _SHARP), np.asarray(is_inner[local].all(axis=1)))
+            _Side(corners, nodes, tapers, local, is_inner & (cosine > SHARP), np.asarray(is_inner[local].all(axis=1)))
         )
     return found[0], found[1]
 
@@ -224,41 +202,16 @@ def _extremes(points: Points, side: _Side, other: _Side) -> tuple[Values, Values
     return low, high, np.bincount(side.local.ravel(), at_centres.repeat(3)) / np.bincount(side.local.ravel())
 
 
-def _solve_known(matrices: Points, right: Points, least: float) -> tuple[Points, Points]:
-    """Solve symmetric 3x3 systems in the directions whose eigenvalue is above ``least``.
-
-    Returns the solutions, and the projections on the other directions, shape ``(n, 3, 3)``.
-    """
-    values, vectors = np.linalg.eigh(matrices)
-    is_known = values > least
-    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=is_known)
-    solution = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, right)
-    return solution, np.einsum("nij,nj,nkj->nik", vectors, (~is_known).astype(float), vectors)
-
-
 def _directions(mesh: MarkedMesh, gaps: list[SplitInterface], nodes: Labels) -> Points:
     """Return the vector by which each node moves, shape ``(n, 3)``."""
     widths = np.zeros(len(mesh.marks))
     for gap in gaps:
         widths[np.isin(mesh.marks, gap.first + gap.second)] = gap.split.width
-    systems = []
-    for own in (widths > 0.0, widths == 0.0):
-        touching = np.flatnonzero(own)[np.isin(mesh.boundary[own], nodes).any(axis=1)]
-        corners = mesh.boundary[touching]
-        normals, angles = _normals(mesh.points, corners)
-        triangle, corner = np.nonzero(np.isin(corners, nodes))
-        at, normal = np.searchsorted(nodes, corners[triangle, corner]), normals[triangle]
-        weighted = angles[triangle, corner][:, None] * normal
-        matrices, right = np.zeros((len(nodes), 3, 3)), np.zeros((len(nodes), 3))
-        np.add.at(matrices, at, weighted[:, :, None] * normal[:, None, :])
-        np.add.at(right, at, -0.5 * widths[touching][triangle][:, None] * weighted)
-        weights = np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-300)[:, None]
-        systems.append((matrices / weights[:, :, None], right / weights))
-    vectors, free = _solve_known(*systems[0], _NOISE)
-    others = systems[1][0]
-    pull = -np.einsum("nij,njk,nk->ni", free, others, vectors)
-    slid = _solve_known(free @ others @ free, pull, _OBLIQUE)[0]
-    return vectors + slid
+    sides, others = (
+        normal_system(mesh.points, mesh.boundary[own], nodes, -0.5 * widths[own])
+        for own in (widths > 0.0, widths == 0.0)
+    )
+    return solve_in_turn(sides, others, (NOISE, _OBLIQUE))
 
 
 def _nodes(pairs: list[tuple[float, _Pair]]) -> Labels:
@@ -288,30 +241,7 @@ def _moved(mesh: MarkedMesh, vectors: Points, pairs: list[tuple[float, _Pair]]) 
         if worst < TOLERANCE:
             break
     points[nodes] = best
-    return _followed(mesh, nodes, points)
-
-
-def _followed(mesh: MarkedMesh, moved: Labels, points: Points) -> Points:
-    """Move the interior nodes near the gaps by the weighted mean of their neighbours."""
-    is_near = np.zeros(len(points), dtype=bool)
-    is_near[moved] = True
-    for _ in range(_LAYERS):
-        is_near[mesh.tetrahedra[is_near[mesh.tetrahedra].any(axis=1)]] = True
-    cells = mesh.tetrahedra[is_near[mesh.tetrahedra].any(axis=1)]
-    edges = np.unique(
-        np.sort(cells[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1), axis=0
-    )
-    is_near[mesh.boundary] = False
-    start, end = np.concatenate([edges, edges[:, ::-1]])[is_near[np.concatenate([edges[:, 0], edges[:, 1]])]].T
-    weights = 1.0 / np.linalg.norm(mesh.points[start] - mesh.points[end], axis=1)
-    count = len(points)
-    total = np.maximum(np.bincount(start, weights, count), 1e-300)
-    shift = points - mesh.points
-    for _ in range(_SWEEPS):
-        sums = [np.bincount(start, weights * shift[end, axis], count) / total for axis in range(3)]
-        shift = np.where(is_near[:, None], np.stack(sums, axis=1), shift)
-    result: Points = mesh.points + shift
-    return result
+    return Followers(mesh.points, mesh.tetrahedra, nodes, np.unique(mesh.boundary)).follow(points)
 
 
 def _refuse_poor(

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from isoparticles._native import Context, changed_triangles, distances_both_ways, surface_topology
 
-from tetmesh_check.checks import Check, counted, poor_tetrahedra, smallest_elsewhere
+from tetmesh_check.checks import Check, check, counted, percent, poor_tetrahedra, smallest_elsewhere
 from tetmesh_check.export.mesh import MarkedMesh, materials_mesh, object_mesh
 from tetmesh_check.fem.solve import VolumeMesh
 from tetmesh_check.forced import list_forced
 from tetmesh_check.gap import open_gaps
+from tetmesh_check.layer_measures import describe_layers, loose_faces
+from tetmesh_check.layers import add_layers
 from tetmesh_check.materials import NOTHING, Conformity
 from tetmesh_check.parts.measure import describe_parts
 from tetmesh_check.parts.model import Parts
@@ -198,7 +200,7 @@ def mark(
 def separate(
     task: Task, marked: MarkedMesh, filled: Filled, parts: Parts, context: Context
 ) -> tuple[MarkedMesh, Filled, list[Check]]:
-    """Split interfaces and open their gaps, and measure the parts.
+    """Split interfaces and open their gaps, add layers to walls, and measure the parts.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def separate(
         The joined tetrahedra. In the report, points and shapes are then those of the open mesh;
         volumes, outer triangles and the fit to the interfaces remain those of the joined one.
     parts
-        The parts, with both sides of the split interfaces.
+        The parts, with both sides of the split interfaces, and the walls.
     context
         For the results.
     """
@@ -240,9 +242,57 @@ def separate(
         }
         for row in opened.results:
             _tell(row, context)
+    if parts.walls:
+        with context.step("layers"):
+            result, filled, checks = _with_layers(task, result, filled, parts, context)
     with context.step("measure parts"):
         context.results["boundary"] = describe_parts(parts, result)
     return result, filled, checks
+
+
+def _with_layers(
+    task: Task, mesh: MarkedMesh, filled: Filled, parts: Parts, context: Context
+) -> tuple[MarkedMesh, Filled, list[Check]]:
+    """Add the layers of all walls, and measure them.
+
+    In the report, points and shapes are then those of the mesh with layers; volumes and outer
+    triangles remain those of the mesh without.
+    """
+    limits, before = task.arguments.limits, filled.quality
+    quality, rows, checks = before, [], []
+    for wall in parts.walls:
+        found = add_layers(mesh, wall, quality, limits)
+        row, own = describe_layers(found, mesh, wall)
+        mesh, quality = found.mesh, found.quality
+        rows.append(row)
+        checks += own
+        _tell_layers(row, wall.layers.told, context)
+    volumes = [float(before.volume.sum()), float(quality.volume.sum() + sum(row["volume_mm3"] for row in rows))]
+    change = 100.0 * (volumes[1] / volumes[0] - 1.0)
+    checks.append(check("layer_faces", loose_faces(mesh)))
+    checks.append(check("layer_volume", change, limits.max_volume_change, told=percent(change)))
+    filled = filled._replace(points=mesh.points, tetrahedra=mesh.tetrahedra, quality=quality)
+    context.results["volume"] |= _shapes(task, filled)
+    if filled.conformity is not None:
+        context.results["volume"] |= _interfaces(task, filled, filled.conformity, before.volume, context)
+    smallest = {"before": float(before.min_dihedral.min()), "after": float(quality.min_dihedral.min())}
+    total = {"without_mm3": volumes[0], "with_mm3": volumes[1]}
+    context.results["layers"] = {"walls": rows, "volume": total, "min_dihedral": smallest}
+    return mesh, filled, checks
+
+
+def _tell_layers(found: dict[str, Any], option: str, context: Context) -> None:
+    """Add the layers of a wall to the closing table; warn where they are thinner."""
+    heights = found["first_height_mm"]
+    told = "no full layers" if heights is None else f"first height {heights['min']:.4g} to {heights['max']:.4g} mm"
+    context.closing.append(("layers", f"{found['prisms']:,} prisms, {told}"))
+    if places := found["thinner"]:
+        x, y, z = places[0]["place_mm"]
+        context.warn(
+            f"{option}: the layers are thinner at {counted(found['thinner_nodes'], 'node')} of "
+            f"{found['nodes']:,}, in {counted(len(places), 'place')}, down to {100.0 * places[0]['share']:.3g} % at "
+            f"({x:.6g}, {y:.6g}, {z:.6g}) mm (all: layers in the report)"
+        )
 
 
 def _tell(found: dict[str, Any], context: Context) -> None:

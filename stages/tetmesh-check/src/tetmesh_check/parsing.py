@@ -18,6 +18,7 @@ from isoparticles._native import VERSION, number_of_bytes
 from tetmesh_check.density.laws import read_calibration, read_law
 from tetmesh_check.errors import StageError, close
 from tetmesh_check.parts.algebra import Definition, read_definition, read_expression
+from tetmesh_check.parts.layers import read_layers
 from tetmesh_check.parts.splits import read_gap, read_split
 from tetmesh_check.parts.tags import read_tag
 
@@ -25,6 +26,9 @@ FORMATS = ("inp", "k", "bdf", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb",
 """Formats of ``--export``."""
 LINEAR_FORMATS = ("vtp", "carp", "simvascular", "simnibs")
 """Formats without quadratic tetrahedra or triangles."""
+PRISMLESS_FORMATS = ("carp", "simvascular", "simnibs")
+"""Formats that get no prisms. SimNIBS and svMultiPhysics read one kind of element; openCARP, whose
+order of the nodes of prisms is not documented, computes no flow."""
 
 
 def read_table() -> dict[str, Any]:
@@ -176,4 +180,5 @@ _READERS: dict[str, Callable[[str], Any]] = {
     "set": _told(read_definition),
     "split": _told(read_split),
     "gap": _told(read_gap),
+    "layers": _told(read_layers),
 }

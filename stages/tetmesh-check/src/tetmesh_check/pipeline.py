@@ -22,6 +22,7 @@ from tetmesh_check.fibres.arguments import find_boundaries
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
 from tetmesh_check.gap import refuse_wide
+from tetmesh_check.layers import refuse_layers
 from tetmesh_check.materials import Sides
 from tetmesh_check.measures import mark, measure, separate
 from tetmesh_check.parts.caps import Border
@@ -91,7 +92,7 @@ def _parts(arguments: Arguments, surface: Surface, border: Border | None, contex
     if sides is not None:
         arguments.refuse_for_materials()
     with context.step("find parts"):
-        parts = find_parts(surface, border, arguments.tags, arguments.sets, arguments.splits)
+        parts = find_parts(surface, border, arguments.tags, arguments.sets, arguments.splits, arguments.layers)
     context.check_outputs(arguments.export_paths(sides is not None, parts.set_names))
     return parts
 
@@ -218,6 +219,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             scan = read_density(arguments.density, surface, context)
     task = _task(arguments, surface, sizing, labels, context)
     refuse_wide(parts, surface)
+    refuse_layers(parts, surface)
     filled = fill(task, context)
     mesh = measure(task, filled, context)
     marked = mark(task.surface, mesh, filled.conformity, parts, labels, context)

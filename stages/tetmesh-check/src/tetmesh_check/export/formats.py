@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tetmesh_check.export.cards import in_units
 from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2, write_simnibs
-from tetmesh_check.export.mesh import MarkedMesh, numbered_sets
+from tetmesh_check.export.mesh import Block, MarkedMesh, numbered_sets
 from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_faces, write_simvascular_volume
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Labels, Points
@@ -55,16 +55,25 @@ def _cards(numbers: Labels, width: int, first: str = "", other: str = "") -> str
     return first + f"\n{other}".join(lines)
 
 
-_ABAQUS_FACE = np.array([3, 4, 2, 1])
-"""Number of the face of a C3D4 that lies opposite its first, second, ... node: S1 is 1-2-3, S2
-1-4-2, S3 2-4-3, S4 3-4-1."""
+_ABAQUS_FACES = {
+    "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
+    "wedge": ((0, 1, 2), (3, 5, 4), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+}
+"""Corners of the faces S1, S2, ... of a C3D4 or C3D10, and of a C3D6."""
 
 
-def _element_faces(mesh: MarkedMesh, triangles: Labels) -> Cells:
-    """Return the element behind each triangle, and the number of its face in Abaqus."""
-    owners = mesh.owners[triangles]
-    away = (mesh.tetrahedra[owners][:, :, None] != mesh.boundary[triangles][:, None, :]).all(axis=2)
-    return np.column_stack([owners + 1, _ABAQUS_FACE[away.argmax(axis=1)]])
+def _element_faces(mesh: MarkedMesh, members: Labels) -> Cells:
+    """Return the element behind each face, and the number of its face in Abaqus."""
+    found = []
+    for faces in mesh.faces_of(members):
+        corners = faces.nodes[:, :4] if faces.kind == "quad" else faces.nodes[:, :3]
+        owners = mesh.owners[faces.members]
+        for kind, first, cells in (("tetra", 0, mesh.tetrahedra), ("wedge", len(mesh.elements), mesh.prisms)):
+            own = np.flatnonzero((owners >= first) & (owners < first + len(cells)))
+            is_on = (cells[owners[own] - first][:, :, None] == corners[own][:, None, :]).any(axis=2)
+            sides = [is_on[:, side].all(axis=1) for side in _ABAQUS_FACES[kind]]
+            found.append(np.column_stack([owners[own] + 1, 1 + np.argmax(sides, axis=0)]))
+    return np.concatenate(found)
 
 
 _TEMPLATES = Environment(
@@ -91,7 +100,7 @@ def _texts(*templates: str) -> dict[str, Writer]:
 def _nodes(mesh: MarkedMesh, path: Path, part: str) -> None:
     """Write the nodes of a part or union for openCARP, numbered from 0 as in ``.pts``."""
     own = next(own for own in mesh.named_sets if own.name == part)
-    _text(mesh, path, "nodes.vtx", nodes=np.unique(mesh.faces[own.members]))
+    _text(mesh, path, "nodes.vtx", nodes=mesh.nodes_of(own.members))
 
 
 def _face(mesh: MarkedMesh, path: Path, part: str) -> None:
@@ -106,10 +115,23 @@ def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
     The boundary uses the points of the volume: FEniCS reads the triangles as tags of facets. For
     each union, there is an array that is 1 on its triangles.
     """
+
+    def cells(blocks: list[Block]) -> Cells | Labels:
+        """Return the nodes of one kind, or of several kinds, each after its number in XDMF."""
+        if len(blocks) == 1:
+            return blocks[0].nodes
+        rows = [np.insert(block.nodes, 0, _XDMF_KINDS[block.kind], axis=1).ravel() for block in blocks]
+        return np.concatenate(rows)
+
     if stem != "volume":
         flags = {name: np.isin(mesh.marks, sorted(marks)).astype(np.int64) for name, marks in mesh.unions.items()}
-        return {"triangles": mesh.faces, "mark" if mesh.materials is None else "pair": mesh.marks, **flags}
-    return {"points": mesh.points, "elements": mesh.elements, "region": mesh.regions, "boundary": mesh.point_marks()}
+        return {"triangles": cells(mesh.faces_of()), "mark" if mesh.materials is None else "pair": mesh.marks, **flags}
+    return {
+        "points": mesh.points,
+        "elements": cells(mesh.elements_of()),
+        "region": mesh.regions,
+        "boundary": mesh.point_marks(),
+    }
 
 
 def _numbers(mesh: MarkedMesh, path: Path, stem: str) -> None:
@@ -120,6 +142,9 @@ def _numbers(mesh: MarkedMesh, path: Path, stem: str) -> None:
 def _description(mesh: MarkedMesh, path: Path, stem: str, name: str) -> None:
     _text(mesh, path, "grid.xdmf", stem=stem, name=name, arrays=_arrays(mesh, stem))
 
+
+_XDMF_KINDS = {"triangle": 4, "quad": 5, "tetra": 6, "wedge": 8}
+"""Number of each kind in an XDMF topology of several kinds."""
 
 _WRITE: dict[str, dict[str, Writer]] = {
     "inp": _texts("volume.inp"),
@@ -135,9 +160,11 @@ _WRITE: dict[str, dict[str, Writer]] = {
     "carp": _texts("volume.pts", "volume.elem", "volume.lon"),
     "simvascular": {
         "volume.mesh-complete.mesh.vtu": write_simvascular_volume,
-        "volume.mesh-complete.exterior.vtp": lambda mesh, path: write_simvascular_faces(mesh, path, mesh.outermost),
+        "volume.mesh-complete.exterior.vtp": lambda mesh, path: write_simvascular_faces(
+            mesh, path, np.flatnonzero(mesh.outermost)
+        ),
         "volume.mesh-complete.walls_combined.vtp": lambda mesh, path: write_simvascular_faces(
-            mesh, path, mesh.outermost & ~mesh.is_cap
+            mesh, path, np.flatnonzero(mesh.outermost & ~mesh.is_cap)
         ),
     },
 }

@@ -14,16 +14,16 @@ import h5py
 import meshio
 import numpy as np
 
-from tetmesh_check.export.mesh import MarkedMesh, NamedSet, numbered_sets
+from tetmesh_check.export.mesh import Block, MarkedMesh, NamedSet, numbered_sets
 from tetmesh_check.quality import Cells, Labels
 
-_KIND = {3: 2, 6: 9, 4: 4, 10: 11}
-"""Gmsh's number of a triangle or tetrahedron, by its number of nodes."""
-_GMSH_NODES = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
-"""Nodes of a tetrahedron in the order of Gmsh, which exchanges the last two nodes of VTK."""
-_MED_NODES = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]
-"""Nodes of a tetrahedron in the order of MED: its tetrahedra (but not its triangles) are wound the
-other way, and the nodes on the edges follow."""
+_KIND = {"triangle": 2, "triangle6": 9, "quad": 3, "tetra": 4, "tetra10": 11, "wedge": 6}
+"""Gmsh's number of each kind."""
+_GMSH_NODES = {"tetra10": [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]}
+"""Nodes in the order of Gmsh, which exchanges the last two nodes of VTK."""
+_MED_NODES = {"tetra": [0, 2, 1, 3], "tetra10": [0, 2, 1, 3, 6, 5, 4, 7, 9, 8], "wedge": [0, 2, 1, 3, 5, 4]}
+"""Nodes in the order of MED: its elements (but not its faces) are wound the other way, and the
+nodes on the edges follow."""
 
 
 def _comment(mesh: MarkedMesh) -> str:
@@ -48,13 +48,20 @@ def _numbers(sets: list[NamedSet], size: int) -> Labels:
     return numbers
 
 
+def _ordered(block: Block, orders: dict[str, list[int]]) -> Cells:
+    """Return the nodes of a block in the order of a format."""
+    return block.nodes[:, orders[block.kind]] if block.kind in orders else block.nodes
+
+
 def _meshio(
-    mesh: MarkedMesh, elements: Cells, regions: list[NamedSet], parts: list[NamedSet], tags: list[str]
+    mesh: MarkedMesh, orders: dict[str, list[int]], regions: list[NamedSet], parts: list[NamedSet], tags: list[str]
 ) -> meshio.Mesh:
     """Return elements and boundary, with the numbers of their sets under each tag."""
-    kinds = ("tetra10", "triangle6") if mesh.is_quadratic else ("tetra", "triangle")
-    cells = list(zip(kinds, (elements, mesh.faces), strict=True))
-    numbers = [_numbers(regions, len(elements)), _numbers(parts, len(mesh.faces))]
+    cells, numbers = [], []
+    for blocks, sets, size in ((mesh.elements_of(), regions, mesh.regions), (mesh.faces_of(), parts, mesh.marks)):
+        of_all = _numbers(sets, len(size))
+        cells += [(block.kind, _ordered(block, orders)) for block in blocks]
+        numbers += [of_all[block.members] for block in blocks]
     return meshio.Mesh(mesh.points, cells, cell_data=dict.fromkeys(tags, numbers))
 
 
@@ -76,8 +83,7 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     groups = {own.number: [own.name] for own in regions}
     for part, own in zip(mesh.part_sets, parts, strict=True):
         groups[own.number] = [part.name, *mesh.unions_of(part.number)]
-    elements = mesh.elements[:, _MED_NODES[: mesh.elements.shape[1]]]
-    made = _meshio(mesh, elements, regions, parts, ["cell_tags"])
+    made = _meshio(mesh, _MED_NODES, regions, parts, ["cell_tags"])
     made.cell_tags = groups
     # meshio would otherwise choose the format by the name of the file
     meshio.write(path, made, file_format="med")
@@ -115,7 +121,7 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
         The file.
     """
     regions, parts, _ = numbered_sets(mesh)
-    made = _meshio(mesh, mesh.elements, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
+    made = _meshio(mesh, {}, regions, parts, ["gmsh:physical", "gmsh:geometrical"])
     _write_msh2(mesh, made, (regions, parts), path, binary=False)
 
 
@@ -148,10 +154,9 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         The file.
     """
     regions, parts, unions = numbered_sets(mesh)
-    elements = mesh.elements[:, _GMSH_NODES[: mesh.elements.shape[1]]]
-    blocks = [(2, own, mesh.faces[own.members]) for own in parts]
-    blocks += [(3, own, elements[own.members]) for own in regions]
-    names = [f'{dimension} {own.number} "{own.name}"' for dimension, own, _ in blocks]
+    sets = [(2, own, mesh.faces_of(own.members)) for own in parts]
+    sets += [(3, own, mesh.elements_of(own.members)) for own in regions]
+    names = [f'{dimension} {own.number} "{own.name}"' for dimension, own, _ in sets]
     names += [f'2 {own.number} "{own.name}"' for own in unions]
     number_of = {own.name: own.number for own in unions}
     more = [[number_of[name] for name in mesh.unions_of(part.number)] for part in mesh.part_sets]
@@ -159,9 +164,9 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     entities = [pack("<4Q", 0, 0, len(parts), len(regions))]
     nodes: list[bytes] = []
     cells_of: list[bytes] = []
-    is_left, first = np.ones(len(mesh.points), dtype=bool), 1
-    for (dimension, own, cells), further in zip(blocks, more, strict=True):
-        used = np.unique(cells)
+    is_left, first, count = np.ones(len(mesh.points), dtype=bool), 1, 0
+    for (dimension, own, blocks), further in zip(sets, more, strict=True):
+        used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
         corners = mesh.points[used]
         box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
         groups = [own.number, *further]
@@ -169,16 +174,18 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         used = used[is_left[used]]
         is_left[used] = False
         nodes += [pack("<3iQ", dimension, own.number, 0, len(used)), _whole(used + 1), mesh.points[used].tobytes()]
-        rows = np.column_stack([np.arange(first, first + len(cells)), cells + 1])
-        cells_of += [pack("<3iQ", dimension, own.number, _KIND[cells.shape[1]], len(cells)), _whole(rows)]
-        first += len(cells)
+        for block in blocks:
+            rows = np.column_stack([np.arange(first, first + len(block.nodes)), _ordered(block, _GMSH_NODES) + 1])
+            cells_of += [pack("<3iQ", dimension, own.number, _KIND[block.kind], len(rows)), _whole(rows)]
+            first += len(rows)
+            count += 1
     sections = {
         "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
         "Comments": [_comments(mesh, parts).encode()],
         "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
         "Entities": entities,
-        "Nodes": [pack("<4Q", len(blocks), int((~is_left).sum()), 1, len(mesh.points)), *nodes],
-        "Elements": [pack("<4Q", len(blocks), first - 1, 1, first - 1), *cells_of],
+        "Nodes": [pack("<4Q", len(sets), int((~is_left).sum()), 1, len(mesh.points)), *nodes],
+        "Elements": [pack("<4Q", count, first - 1, 1, first - 1), *cells_of],
     }
     with path.open("wb") as file:
         for name, body in sections.items():

@@ -1,4 +1,4 @@
-"""The mesh that is written in all formats: tetrahedra, boundary, marks and names."""
+"""The mesh that is written in all formats: elements, boundary, marks and names."""
 
 from __future__ import annotations
 
@@ -54,13 +54,24 @@ def plain_names(names: list[str], taken: Iterable[str] = ()) -> list[str]:
 
 
 class NamedSet(NamedTuple):
-    """The elements of a region, or the triangles of a part of the boundary."""
+    """The elements of a region, or the faces of a part of the boundary."""
 
     number: int
     """Number of the region, or mark of the part."""
     name: str
     members: Labels
-    """Indices of the elements or triangles, ascending."""
+    """Indices of the elements or faces, ascending."""
+
+
+class Block(NamedTuple):
+    """Elements or faces of one kind."""
+
+    kind: str
+    """As in meshio: tetra, tetra10, wedge, triangle, triangle6 or quad."""
+    members: Labels
+    """Their indices among all elements or faces, ascending."""
+    nodes: Cells
+    """Their nodes."""
 
 
 class Card(NamedTuple):
@@ -82,9 +93,21 @@ def _sets(numbers: Labels, names: Mapping[int, str]) -> list[NamedSet]:
     return [own for own in sets if len(own.members)]
 
 
+def _blocks(members: Labels | None, *kinds: tuple[str, Cells]) -> list[Block]:
+    """Return members by kind, without empty kinds; all by default."""
+    found, first = [], 0
+    for kind, nodes in kinds:
+        own = np.arange(first, first + len(nodes))
+        own = own if members is None else members[(members >= first) & (members < first + len(nodes))]
+        if len(own):
+            found.append(Block(kind, own, nodes[own - first]))
+        first += len(nodes)
+    return found
+
+
 @dataclass(frozen=True)
 class MarkedMesh:
-    """Tetrahedra and their boundary, each with its mark."""
+    """Tetrahedra, prisms and their boundary, each with its mark."""
 
     points: Points
     """World positions, shape ``(n, 3)``: in mm and LPS (:attr:`space`), or as written to a file."""
@@ -123,6 +146,12 @@ class MarkedMesh:
     """Values of each point, by name, shape ``(n,)``; empty for quadratic elements."""
     cards: list[Card] = field(default_factory=list)
     """Materials of the regions whose stiffness is known."""
+    prisms: Cells = field(default_factory=lambda: np.zeros((0, 6), dtype=np.int64))
+    """Nodes of the prisms (:mod:`.prisms`), shape ``(p, 6)``. As elements, they follow the
+    tetrahedra: in ``regions``, ``owners`` and ``before``, and in sets."""
+    quads: Cells = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int64))
+    """Nodes of the quadrilaterals of the boundary, outward, shape ``(q, 4)``. As faces, they follow
+    the triangles: in ``owners``, ``before`` and ``marks``, and in sets."""
 
     @property
     def shown(self) -> Points:
@@ -149,6 +178,18 @@ class MarkedMesh:
         """Whether there are nodes on the edges."""
         return bool(self.elements.shape[1] == 10)
 
+    def elements_of(self, members: Labels | None = None) -> list[Block]:
+        """Return elements by kind; all by default."""
+        return _blocks(members, ("tetra10" if self.is_quadratic else "tetra", self.elements), ("wedge", self.prisms))
+
+    def faces_of(self, members: Labels | None = None) -> list[Block]:
+        """Return faces of the boundary by kind; all by default."""
+        return _blocks(members, ("triangle6" if self.is_quadratic else "triangle", self.faces), ("quad", self.quads))
+
+    def nodes_of(self, members: Labels) -> Labels:
+        """Return the nodes of faces, ascending."""
+        return np.unique(np.concatenate([members[:0], *(block.nodes.ravel() for block in self.faces_of(members))]))
+
     @property
     def region_sets(self) -> list[NamedSet]:
         """The elements of each region."""
@@ -162,12 +203,12 @@ class MarkedMesh:
 
     @property
     def part_sets(self) -> list[NamedSet]:
-        """The triangles of each part of the boundary, or of each interface."""
+        """The faces of each part of the boundary, or of each interface."""
         return _sets(self.marks, self.parts)
 
     @property
     def union_sets(self) -> list[NamedSet]:
-        """The triangles of each union of parts that is not empty, numbered after the parts."""
+        """The faces of each union of parts that is not empty, numbered after the parts."""
         last = max(self.parts, default=0)
         members = [np.flatnonzero(np.isin(self.marks, sorted(marks))) for marks in self.unions.values()]
         named = zip(self.unions, members, strict=True)
@@ -175,7 +216,7 @@ class MarkedMesh:
 
     @property
     def named_sets(self) -> list[NamedSet]:
-        """The triangles of each part and of each union."""
+        """The faces of each part and of each union."""
         return self.part_sets + self.union_sets
 
     def unions_of(self, mark: int) -> list[str]:
@@ -190,12 +231,12 @@ class MarkedMesh:
 
     @property
     def is_cap(self) -> NDArray[np.bool_]:
-        """Whether each triangle belongs to a cap, shape ``(k,)``."""
+        """Whether each face belongs to a cap."""
         return np.isin(self.marks, sorted(self.caps))
 
     @property
     def outermost(self) -> NDArray[np.bool_]:
-        """Whether each triangle lies on the boundary of the whole mesh, shape ``(k,)``."""
+        """Whether each face lies on the boundary of the whole mesh."""
         alone: NDArray[np.bool_] = self.before == NOBODY
         return alone
 
@@ -204,15 +245,15 @@ class MarkedMesh:
         return json.dumps(self.table)
 
     def point_marks(self) -> Labels:
-        """Return the mark of each point, shape ``(n,)``: 0 inside, else that of its triangles.
+        """Return the mark of each point, shape ``(n,)``: 0 inside, else that of its faces.
 
         The mark is :data:`.CAP` on caps and :data:`.SURFACE` on the rest of the boundary of the
-        whole mesh. A point with triangles of both has :data:`.SURFACE`.
+        whole mesh. A point with faces of both has :data:`.SURFACE`.
         """
         marks = np.zeros(len(self.points), dtype=np.int64)
         is_cap = self.is_cap
-        marks[self.faces[is_cap]] = CAP
-        marks[self.faces[self.outermost & ~is_cap]] = SURFACE
+        marks[self.nodes_of(np.flatnonzero(is_cap))] = CAP
+        marks[self.nodes_of(np.flatnonzero(self.outermost & ~is_cap))] = SURFACE
         return marks
 
 

@@ -9,18 +9,23 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
 from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
-from tetmesh_check.datasets import add_text, to_polydata
+from tetmesh_check.datasets import add_text
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
+from tetmesh_check.prisms import scaled_jacobian
 from tetmesh_check.quality import Labels, Points, Values
 
 _MEASURES = ("radius_ratio", "scaled_jacobian", "min_dihedral", "jacobian_bound")
 """Measures that the volume mesh has as cell data. Angles are in degrees."""
+_KINDS = {
+    "tetra": pv.CellType.TETRA,
+    "tetra10": pv.CellType.QUADRATIC_TETRA,
+    "wedge": pv.CellType.WEDGE,
+}
 _FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
@@ -31,16 +36,17 @@ def _add_space(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
 
 
 def _grid(mesh: MarkedMesh, points: Points) -> pv.UnstructuredGrid:
-    kind = pv.CellType.QUADRATIC_TETRA if mesh.is_quadratic else pv.CellType.TETRA
-    grid = pv.UnstructuredGrid({kind: mesh.elements}, points)
+    grid = pv.UnstructuredGrid({_KINDS[block.kind]: block.nodes for block in mesh.elements_of()}, points)
     _add_space(grid, mesh)
     return grid
 
 
-def _surface(mesh: MarkedMesh, triangles: Labels | NDArray[np.bool_] | slice) -> tuple[pv.PolyData, Labels]:
-    """Return triangles of the boundary, and the indices of their points in the mesh."""
-    used, local = np.unique(mesh.boundary[triangles], return_inverse=True)
-    surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
+def _surface(mesh: MarkedMesh, faces: Labels) -> tuple[pv.PolyData, Labels]:
+    """Return faces of the boundary, and the indices of their points in the mesh."""
+    used = mesh.nodes_of(faces)
+    blocks = [np.searchsorted(used, block.nodes) for block in mesh.faces_of(faces)]
+    rows = [np.insert(nodes, 0, nodes.shape[1], axis=1).ravel() for nodes in blocks]
+    surface = pv.PolyData(mesh.points[used], np.concatenate(rows))
     _add_space(surface, mesh)
     return surface, used
 
@@ -58,12 +64,15 @@ def write_volume(path: Path, mesh: MarkedMesh, measures: Mapping[str, Values], h
     measures
         Measures of the elements by name: those of :class:`.TetrahedronQuality`, or
         ``jacobian_bound``, the lower bound of each quadratic element's Jacobian over that of the
-        straight one.
+        straight one. Prisms get their scaled Jacobian, and NaN for the others.
     history
         Program, parameters and inputs of the file.
     """
     grid = _grid(mesh, mesh.shown)
-    grid.cell_data.update({name: measures[name] for name in _MEASURES if name in measures})
+    prisms = np.full(len(mesh.prisms), np.nan)
+    for name in [name for name in _MEASURES if name in measures]:
+        own = scaled_jacobian(mesh.points, mesh.prisms) if name == "scaled_jacobian" else prisms
+        grid.cell_data[name] = np.append(measures[name], own)
     grid.cell_data.update(mesh.fields)
     grid.point_data.update(mesh.point_fields)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
@@ -102,7 +111,7 @@ def write_legacy(mesh: MarkedMesh, path: Path) -> None:
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
     for own in mesh.union_sets:
         grid.point_data[own.name] = np.zeros(len(mesh.points), dtype=np.int32)
-        grid.point_data[own.name][mesh.faces[own.members]] = 1
+        grid.point_data[own.name][mesh.nodes_of(own.members)] = 1
     add_text(grid, "regions", mesh.region_text())
     writer = vtkUnstructuredGridWriter()
     writer.SetFileVersion(42)
@@ -120,7 +129,7 @@ def write_simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
     grid.save(path)
 
 
-def write_simvascular_faces(mesh: MarkedMesh, path: Path, triangles: Labels | NDArray[np.bool_]) -> None:
+def write_simvascular_faces(mesh: MarkedMesh, path: Path, triangles: Labels) -> None:
     """Write triangles as SimVascular does: with part (face), region, element and node numbers."""
     surface, used = _surface(mesh, triangles)
     owners = mesh.owners[triangles]
@@ -139,7 +148,7 @@ def write_boundary(mesh: MarkedMesh, path: Path) -> None:
     and ``region_before`` that in front of it. For each union, there is an array that is 1 on its
     triangles. The text ``parts`` names the marks.
     """
-    surface, used = _surface(mesh, slice(None))
+    surface, used = _surface(mesh, np.arange(len(mesh.marks)))
     surface.cell_data["mark"] = mesh.marks
     surface.cell_data["tetrahedron"] = mesh.owners
     surface.cell_data["region"] = mesh.regions[mesh.owners]

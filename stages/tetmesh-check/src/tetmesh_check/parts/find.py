@@ -14,7 +14,8 @@ from tetmesh_check.export.mesh import PARTS, interface_names, plain_names
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.parts.algebra import Definition
 from tetmesh_check.parts.caps import NO_SIDE, SIDES, Border, cap_sides, connected
-from tetmesh_check.parts.model import NamedUnion, Part, Parts, SplitInterface
+from tetmesh_check.parts.layers import Layers
+from tetmesh_check.parts.model import NamedUnion, Part, Parts, SplitInterface, Wall
 from tetmesh_check.parts.names import OBJECT_NAMES, WHY, Finder, refuse_taken, told
 from tetmesh_check.parts.splits import Split
 from tetmesh_check.parts.tags import Tag
@@ -162,12 +163,41 @@ def _add_sides(
     return found, unions
 
 
+def _find_walls(layers: Sequence[Layers], rows: list[Part], find: Finder) -> list[Wall]:
+    """Find the parts of the walls with layers, and the materials that get the layers."""
+    walls: list[Wall] = []
+    for own in layers:
+        members = find.evaluate(own.wall.node, own.told)
+        beside = {number for row in rows if row.number in members for number in (row.inside, row.outside)} - {NOTHING}
+        names = ", ".join(find.names[number] for number in sorted(beside))
+        number = find.material(own.material) if own.material else None
+        if not beside:
+            raise StageError(f"{own.told}: the wall has no triangle", WHY, "check the expression")
+        if own.material and number not in beside:
+            raise StageError(
+                f"{own.told}: {own.material} is not a material beside this wall",
+                "the layers are made from its elements",
+                f"use {names.replace(', ', ' or ')}",
+            )
+        if number is None and len(beside) > 1:
+            raise StageError(
+                f"{own.told}: the wall has several materials: {names}",
+                "the layers lie in one of them",
+                f"name it, as in '--layers {find.names[max(beside)]}:{own.wall.text}'",
+            )
+        number = beside.pop() if number is None else number
+        touching = frozenset(row.number for row in rows if number in (row.inside, row.outside))
+        walls.append(Wall(own, members & touching, number))
+    return walls
+
+
 def find_parts(
     surface: Surface,
     border: Border | None = None,
     tags: Sequence[Tag] = (),
     definitions: Sequence[Definition] = (),
     splits: Sequence[Split] = (),
+    layers: Sequence[Layers] = (),
 ) -> Parts:
     """Find the parts of a surface, and the sets.
 
@@ -181,11 +211,14 @@ def find_parts(
         The tags, and the expressions of the sets.
     splits
         The interfaces to split.
+    layers
+        The layers on walls.
 
     Raises
     ------
     StageError
-        If a name is taken or unknown, a tag meets no triangle, or a set is empty.
+        If a name is taken or unknown, a tag meets no triangle, a set or a wall is empty, or the
+        material of layers is unclear.
     """
     marks, rows, names = _interfaces(surface)
     _add_caps(surface, border, marks, rows, names)
@@ -211,4 +244,4 @@ def find_parts(
                 f"the parts are {', '.join(row.name for row in rows[:20])}{' ...' if len(rows) > 20 else ''}",
             )
         unions.append(NamedUnion(definition.name, definition.text, members))
-    return Parts(marks, rows, names, unions, sides)
+    return Parts(marks, rows, names, unions, sides, _find_walls(layers, rows, find))

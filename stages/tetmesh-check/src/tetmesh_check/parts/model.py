@@ -14,6 +14,7 @@ from isoparticles import _native
 
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.parts.algebra import Members
+from tetmesh_check.parts.layers import Layers
 from tetmesh_check.parts.splits import Split
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.surface import Surface
@@ -80,6 +81,17 @@ class SplitInterface:
 
 
 @dataclass(frozen=True)
+class Wall:
+    """A wall with prism layers."""
+
+    layers: Layers
+    members: Members
+    """Numbers of its parts."""
+    material: int
+    """Number of the material that gets the layers."""
+
+
+@dataclass(frozen=True)
 class Parts:
     """The parts of a surface, and the sets of parts."""
 
@@ -91,6 +103,8 @@ class Parts:
     unions: list[NamedUnion]
     splits: list[SplitInterface] = field(default_factory=list)
     """The split interfaces."""
+    walls: list[Wall] = field(default_factory=list)
+    """The walls with prism layers."""
 
     @property
     def set_names(self) -> list[str]:

@@ -67,16 +67,17 @@ def cut_of(volume: pv.UnstructuredGrid) -> tuple[pv.PolyData, Points, Points]:
 
 
 def boundary_of(volume: pv.UnstructuredGrid, kept: NDArray[Any]) -> pv.PolyData:
-    """Return the boundary of some tetrahedra, oriented outward, with their cell data.
+    """Return the boundary of some elements as triangles, oriented outward, with their cell data.
 
     Parameters
     ----------
     volume
-        A mesh of tetrahedra.
+        A mesh of tetrahedra and prisms.
     kept
-        Whether each tetrahedron is one of them, shape ``(m,)``.
+        Whether each element is one of them, shape ``(m,)``.
     """
-    return volume.extract_cells(kept).extract_surface(algorithm="dataset_surface")
+    surface = volume.extract_cells(kept).extract_surface(algorithm="dataset_surface")
+    return surface if surface.is_all_triangles else surface.triangulate()
 
 
 def _surface(surface: pv.PolyData, _volume: pv.UnstructuredGrid) -> Image.Image:
@@ -217,7 +218,8 @@ def _add_bar(plotter: pv.Plotter, title: str, mapper: Any) -> None:
 def _colouring(mesh: pv.PolyData, title: str) -> dict[str, Any]:
     """Return the arguments of ``add_mesh`` that colour the mesh."""
     if title:
-        low = min(float(np.percentile(mesh["radius_ratio"], _SPREAD)), 0.99)
+        # prisms have no radius ratio
+        low = min(float(np.nanpercentile(mesh["radius_ratio"], _SPREAD)), 0.99)
         return {"scalars": "radius_ratio", "clim": (low, 1.0), "cmap": "viridis", "below_color": "#440154"}
     if "colour" in mesh.cell_data:
         return {"scalars": "colour", "rgb": True}
