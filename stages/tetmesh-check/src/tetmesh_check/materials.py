@@ -29,6 +29,8 @@ from tetmesh_check.topology import pairs_of
 
 INSIDE, OUTSIDE = "material_inside", "material_outside"
 """Cell arrays of a surface of many materials."""
+CAP = "cap"
+"""Cell array with the number of the plane at which a material ends, from 1; 0 elsewhere."""
 NOTHING = 0
 """Number of the outside in tables of materials."""
 NOBODY = -1
@@ -69,6 +71,34 @@ class Sides:
             Numbers of the inside and of the outside.
         """
         return f"{self.names[pair[0]]}/{self.names[pair[1]]}"
+
+
+class Planes(NamedTuple):
+    """The planes at which materials end (``distfield --border flat``)."""
+
+    of_triangles: Labels
+    """Number of the plane of each triangle, from 0, or -1, shape ``(m,)``."""
+    names: list[str]
+    """Names of the planes by number."""
+
+
+def read_planes(surface: pv.PolyData) -> Planes | None:
+    """Return the planes at which the materials of a surface end; ``None`` if there are none.
+
+    Parameters
+    ----------
+    surface
+        The surface of many materials, as read.
+    """
+    if CAP not in surface.cell_data:
+        return None
+    numbers = np.asarray(surface.cell_data[CAP]).ravel().astype(np.int64) - 1
+    try:
+        names = [str(name) for name in json.loads(text_of(surface, "meta") or "{}").get("caps", [])]
+    except (ValueError, TypeError, AttributeError):
+        names = []
+    unnamed = range(len(names), int(numbers.max(initial=-1)) + 1)
+    return Planes(numbers, names + [str(number + 1) for number in unnamed])
 
 
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:

@@ -16,7 +16,7 @@ from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.datasets import from_polydata, text_of
 from tetmesh_check.errors import file_error, refuse_file
-from tetmesh_check.materials import NOTHING, Sides, read_sides
+from tetmesh_check.materials import CAP, NOTHING, Planes, Sides, read_planes, read_sides
 from tetmesh_check.quality import Cells, Points, TriangleQuality, summarize_all, triangle_quality
 from tetmesh_check.space import in_lps, space_of, turned
 from tetmesh_check.topology import NOT_MANIFOLD, Components, Shells, members_of
@@ -45,6 +45,8 @@ class Surface:
     ``None`` if unknown."""
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
+    planes: Planes | None = None
+    """The planes at which the materials end, if there are any."""
     volumes: list[dict[str, Any]] = field(default_factory=list)
     """Volumes by material in the metadata of the surface, mm^3 (:func:`told_volumes`)."""
     space: str | None = None
@@ -189,8 +191,9 @@ def read_surface(path: Path) -> Surface:
             "these vertices have no position",
             "check the volume for NaN voxels, and run the previous stages again",
         )
-    cap = np.asarray(dataset.cell_data["cap"]).ravel() != 0 if "cap" in dataset.cell_data else None
     sides = read_sides(path, dataset)
+    planes = None if sides is None else read_planes(dataset)
+    cap = np.asarray(dataset.cell_data[CAP]).ravel() != 0 if sides is None and CAP in dataset.cell_data else None
     # some formats (STL) and programs write a vertex once per triangle
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     merged = len(points) - len(unique)
@@ -200,12 +203,13 @@ def read_surface(path: Path) -> Surface:
         triangles = triangles[distinct]
         cap = None if cap is None else cap[distinct]
         sides = sides and Sides(sides.inside[distinct], sides.outside[distinct], sides.table)
+        planes = planes and planes._replace(of_triangles=planes.of_triangles[distinct])
     if sides is not None:
         # with many materials, the vertices must all be used, because the tetrahedra keep them
         used, local = np.unique(triangles, return_inverse=True)
         points, triangles = points[used], local.reshape(-1, 3).astype(np.int64)
     volumes, space = told_volumes(dataset), space_of(dataset, path)
-    return Surface(points, triangles, history_of(dataset), merged, cap, sides, volumes, space)
+    return Surface(points, triangles, history_of(dataset), merged, cap, sides, planes, volumes, space)
 
 
 def place_of(surface: Surface, corners: Cells) -> str:

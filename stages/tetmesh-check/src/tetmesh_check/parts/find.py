@@ -46,15 +46,18 @@ def _split(
 
 
 def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list[Part], names: list[str]) -> None:
-    """Make a part of each connected cap of a material on a face of the volume, largest first."""
+    """Make a part of each connected cap of a material on a plane, largest first."""
     if surface.sides is None and surface.cap is None:
         return
-    outer = np.ones(len(marks), dtype=bool) if surface.sides is None else surface.sides.outside == NOTHING
-    side = cap_sides(surface.points, surface.triangles, outer, surface.cap, border)
+    if surface.planes is not None:
+        side, planes = surface.planes
+    else:
+        outer = np.ones(len(marks), dtype=bool) if surface.sides is None else surface.sides.outside == NOTHING
+        side, planes = cap_sides(surface.points, surface.triangles, outer, surface.cap, border), list(SIDES)
     own = np.flatnonzero(side != NO_SIDE)
     if not len(own):
         return
-    classes = marks[own] * len(SIDES) + side[own]
+    classes = marks[own] * len(planes) + side[own]
     pieces = connected(surface.points, surface.triangles[own], classes)
     areas = np.bincount(pieces, triangle_quality(surface.points, surface.triangles[own]).area)
     first = np.full(len(areas), len(own))
@@ -62,11 +65,11 @@ def _add_caps(surface: Surface, border: Border | None, marks: Labels, rows: list
     plain = plain_names(names)
     counts: dict[int, int] = {}
     for piece in sorted(range(len(areas)), key=lambda piece: (classes[first[piece]], -areas[piece], first[piece])):
-        number, face = divmod(int(classes[first[piece]]), len(SIDES))
+        number, plane = divmod(int(classes[first[piece]]), len(planes))
         parent = next(row for row in rows if row.number == number)
         counts[classes[first[piece]]] = count = counts.get(classes[first[piece]], 0) + 1
         owner = "" if surface.sides is None else f"{plain[parent.inside]}_"
-        (name,) = plain_names([f"{owner}cap_{SIDES[face]}_{count}"], [*plain, *(row.name for row in rows)])
+        (name,) = plain_names([f"{owner}cap_{planes[plane]}_{count}"], [*plain, *(row.name for row in rows)])
         _split(rows, marks, own[pieces == piece], parent, name, is_cap=True)
 
 
