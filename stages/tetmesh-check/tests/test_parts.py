@@ -18,7 +18,7 @@ from tetmesh_check.datasets import add_text, from_polydata
 from tetmesh_check.errors import StageError
 from tetmesh_check.export.mesh import object_mesh
 from tetmesh_check.fields import read_sizing_field
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import Planes, Sides, read_planes
 from tetmesh_check.parts.algebra import read_definition, read_definitions, read_expression
 from tetmesh_check.parts.caps import Border, border_of
 from tetmesh_check.parts.find import find_parts
@@ -47,6 +47,19 @@ def surface_of(made: Made) -> Surface:
 def two_halves(names: tuple[str, str] = ("blood", "wall")) -> Surface:
     """A block of two materials: the first for z < 2, the second above."""
     return surface_of(cells_of_a_block((4, 3, 5), lambda x, y, z: np.where(z < 2.0, 1, 2), names))  # noqa: ARG005
+
+
+def legs() -> Surface:
+    """A comb whose legs of the widths 1 and 2 end at x = 0."""
+    made = cells_of_a_block((3, 5, 2), lambda x, y, z: np.where((x > 1) | (y < 1) | (y > 3), 1, 0), ("comb",))  # noqa: ARG005
+    return surface_of(made)
+
+
+def ended(surface: Surface, *names: str) -> Surface:
+    """Return the surface with the planes x = 0 (number 0), z = 5 (1) and z = -50 (2)."""
+    x, _, z = np.moveaxis(surface.points[surface.triangles], 2, 0)
+    numbers = np.where((x == 0.0).all(axis=1), 0, np.where((z == SIZE[2]).all(axis=1), 1, -1))
+    return replace(surface, planes=Planes(numbers, list(names)))
 
 
 def block_surface(flag: float | None = 0.0) -> Surface:
@@ -106,12 +119,114 @@ def test_caps_are_found_on_a_turned_volume() -> None:
 
 
 def test_separate_caps_of_one_side_are_numbered_by_area() -> None:
-    # a comb: two legs of widths 1 and 2 reach the face x0
-    legs = cells_of_a_block((3, 5, 2), lambda x, y, z: np.where((x > 1) | (y < 1) | (y > 3), 1, 0), ("comb",))  # noqa: ARG005
     border = CUT._replace(positions=np.array([0.0, FAR, -FAR, FAR, -FAR, FAR]))
-    surface = surface_of(legs)
+    surface = legs()
     found = areas_of(surface, find_parts(surface, border))
     assert (found["comb_cap_x0_1"], found["comb_cap_x0_2"]) == pytest.approx((4.0, 2.0))
+
+
+def test_planes_make_caps_of_exact_area_with_their_names() -> None:
+    surface = ended(two_halves(), "inlet", "x0", "below")
+    # the planes count, not the faces of the volume
+    for border in (None, CUT):
+        parts = find_parts(surface, border)
+        assert areas_of(surface, parts) == pytest.approx({
+            "blood_to_outside": 4 * 3 + 2 * 4 * 2 + 3 * 2,
+            "wall_to_outside": 2 * 4 * 3 + 3 * 3,
+            "wall_to_blood": 4 * 3,
+            "blood_cap_inlet_1": 3 * 2,
+            "wall_cap_inlet_1": 3 * 3,
+            "wall_cap_x0_1": 4 * 3,
+        })  # fmt: skip
+        assert {row.name for row in parts.rows if row.kind == "cap"} == {
+            "blood_cap_inlet_1", "wall_cap_inlet_1", "wall_cap_x0_1"
+        }  # fmt: skip
+
+
+def test_separate_caps_of_one_plane_are_numbered_by_area() -> None:
+    surface = ended(legs(), "inlet", "x0")
+    found = areas_of(surface, find_parts(surface))
+    assert (found["comb_cap_inlet_1"], found["comb_cap_inlet_2"]) == pytest.approx((4.0, 2.0))
+    assert set(found) == {"comb_to_outside", "comb_cap_inlet_1", "comb_cap_inlet_2"}
+
+
+def test_oblique_triangles_of_a_plane_belong_to_its_cap() -> None:
+    # the number decides, not the angle and position that find caps without planes
+    surface = ended(two_halves(), "inlet", "x0")
+    turned = replace(surface, points=surface.points @ TURN)
+    np.testing.assert_array_equal(find_parts(turned, CUT).marks, find_parts(surface).marks)
+
+
+def test_sets_contain_the_caps_of_planes() -> None:
+    lines = ["ends = caps & wall/outside", "skin = blood/outside - caps", "top = wall_cap_x0_1", "closed = wall"]
+    parts = find_parts(ended(two_halves(), "inlet", "x0"), CUT, (), list(map(read_definition, lines)))
+    assert members(parts, "ends") == ["wall_cap_inlet_1", "wall_cap_x0_1"]
+    assert members(parts, "skin") == ["blood_to_outside"]
+    assert members(parts, "top") == ["wall_cap_x0_1"]
+    assert members(parts, "closed") == ["wall_to_outside", "wall_to_blood", "wall_cap_inlet_1", "wall_cap_x0_1"]
+
+
+def test_names_of_planes_are_plain_in_parts() -> None:
+    parts = find_parts(ended(two_halves(), "pulmonary artery", "2"))
+    assert [row.name for row in parts.rows if row.is_cap] == [
+        "blood_cap_pulmonary_artery_1", "wall_cap_pulmonary_artery_1", "wall_cap_2_1"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("meta", "names"),
+    [
+        ('{"caps": ["inlet", "x0", "x1"]}', ["inlet", "x0", "x1"]),
+        ('{"caps": ["inlet"]}', ["inlet", "2"]),
+        ('{"version": 1}', ["1", "2"]),
+        ('{"caps": 5}', ["1", "2"]),
+        ("[]", ["1", "2"]),
+        ("not JSON", ["1", "2"]),
+        (None, ["1", "2"]),
+    ],
+)
+def test_planes_without_a_name_are_named_by_their_number(meta: str | None, names: list[str]) -> None:
+    surface = pv.Triangle() + pv.Triangle() + pv.Triangle()
+    assert read_planes(surface) is None
+    surface.cell_data["cap"] = np.array([0, 2, 1], dtype=np.uint16)
+    if meta is not None:
+        add_text(surface, "meta", meta)
+    planes = read_planes(surface)
+    assert planes is not None
+    assert planes.names == names
+    np.testing.assert_array_equal(planes.of_triangles, [-1, 1, 0])
+
+
+def test_planes_are_read_with_the_triangles_that_remain(tmp_path: Path) -> None:
+    made = cells_of_a_block((4, 3, 5), lambda x, y, z: np.where(z < 2.0, 1, 2), ("blood", "wall"))  # noqa: ARG005
+    numbers = (made.points[made.triangles][..., 0] == 0.0).all(axis=1).astype(np.int64)
+    # vertex 0 twice, and a triangle of no area between both
+    sliver = [[made.triangles[0, 0], len(made.points), made.triangles[0, 1]]]
+    doubled = replace(
+        made,
+        points=np.vstack([made.points, made.points[made.triangles[0, 0]]]),
+        triangles=np.vstack([sliver, made.triangles]),
+        inside=np.append(1, made.inside),
+        outside=np.append(0, made.outside),
+    )
+    surface = read_surface(doubled.save(tmp_path / "s.vtp", cap=np.append(1, numbers)))
+    assert surface.planes is not None
+    assert surface.cap is None
+    np.testing.assert_array_equal(surface.planes.of_triangles, numbers - 1)
+    found = areas_of(surface, find_parts(surface))
+    assert (found["blood_cap_1_1"], found["wall_cap_1_1"]) == pytest.approx((6.0, 9.0))
+
+
+def test_the_flags_of_one_object_are_no_planes(tmp_path: Path) -> None:
+    own = block_surface()
+    assert own.cap is not None
+    file = pv.PolyData.from_regular_faces(own.points, own.triangles)
+    file.cell_data["cap"] = own.cap.astype(np.uint8)
+    file.save(tmp_path / "s.vtp")
+    surface = read_surface(tmp_path / "s.vtp")
+    assert surface.planes is None
+    np.testing.assert_array_equal(surface.cap, own.cap)
+    assert [row.name for row in find_parts(surface, CUT).rows] == ["surface", "cap_x0_1"]
 
 
 def test_centres_and_normals_of_the_parts_of_one_object() -> None:

@@ -41,8 +41,16 @@ def from_right(world: np.ndarray) -> np.ndarray:
     return np.linalg.norm(world - np.array([SHIFT, 0.0, 0.0]), axis=1) - RADIUS
 
 
-def write_materials(path: Path, indicators: list[Callable[[np.ndarray], np.ndarray]], names: list[str]) -> Path:
-    """Write indicators on a grid around the origin, as distfield does; all bricks are known."""
+def write_materials(
+    path: Path,
+    indicators: list[Callable[[np.ndarray], np.ndarray]],
+    names: list[str],
+    planes: dict[str, int] | None = None,
+) -> Path:
+    """Write indicators on a grid around the origin, as distfield does; all bricks are known.
+
+    ``planes`` maps names to axes: the materials end at planes through the origin.
+    """
     bricks, spacing = 16, 0.5
     count = 4 * bricks + 1
     grid = pv.ImageData(dimensions=(count,) * 3, origin=(-0.5 * spacing * (count - 1),) * 3, spacing=(spacing,) * 3)
@@ -68,11 +76,18 @@ def write_materials(path: Path, indicators: list[Callable[[np.ndarray], np.ndarr
         json.dumps({"tool": "distfield", "version": "0", "command_line": "", "parameters": {}, "inputs": []}),
     )
     arrays = {
-        "isoparticles_format": np.array([1], np.uint32),
+        "isoparticles_format": np.array([2 if planes else 1], np.uint32),
         "brick_fill": np.full(bricks**3, 2**16 - 1, np.uint16),
         "indicator_bricks": np.tile(np.arange(bricks**3, dtype=np.uint32), len(names)),
         "indicator_coefficients": np.concatenate(blocks).astype(np.float32),
     }
+    if planes:
+        middle, unit = [0.5 * spacing * (count - 1)] * 3, np.eye(3).tolist()
+        add_text(
+            grid,
+            "bounds",
+            json.dumps([{"name": name, "point": middle, "normal": unit[axis]} for name, axis in planes.items()]),
+        )
     for name, values in arrays.items():
         grid.field_data.set_array(values, name)
     grid.save(path)
@@ -170,6 +185,46 @@ def test_volumes_converge_and_nodes_lie_on_interfaces_and_on_the_rim(tmp_path: P
 
 
 @NEEDS_HXT
+def test_nodes_of_caps_lie_in_their_plane_and_those_of_rims_on_both_surfaces(tmp_path: Path, run: Run) -> None:
+    # the left half of the double bubble; the interface to the right half is now a cap
+    whole = double_bubble(3)
+    own = (whole.inside == 1) | (whole.outside == 1)
+    is_cap = whole.outside[own] == 1
+    triangles = np.where(is_cap[:, None], whole.triangles[own][:, ::-1], whole.triangles[own])
+    used, local = np.unique(triangles, return_inverse=True)
+    half = Made(whole.points[used], local.reshape(-1, 3), np.ones(len(triangles)), np.zeros(len(triangles)), ("left",))
+    half.save(tmp_path / "b.vtp", cap=is_cap.astype(np.int64))
+    surface = pv.read(tmp_path / "b.vtp")
+    meta = json.loads(text_of(surface, "meta") or "")
+    add_text(surface, "meta", json.dumps({**meta, "caps": ["cut"]}))
+    surface.save(tmp_path / "b.surface.vtp")
+    indicators = [lambda world: np.zeros(len(world)), lambda world: 2.0 * from_left(world)]
+    write_materials(tmp_path / "f.vti", indicators, NAMES[:2], {"cut": 0})
+    write_sizing(tmp_path / "h.vti", lambda world: np.full(len(world), 1.5), 14)
+    done = run(
+        "b.surface.vtp", "--sizefield", "h.vti", "--distfield", "f.vti", "-o", "b.volume.vtu", "--order", 2,
+        "--solve", "no", "--report", "r.json", "-q",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    results = json.loads((tmp_path / "r.json").read_text())["results"]
+    assert [row["name"] for row in results["boundary"]["parts"]] == ["left_to_outside", "left_cap_cut_1"]
+    found = results["quadratic"]
+    assert found["not_on_surface"] == found["folded"] == 0
+    assert found["curve_nodes"] == 32
+    # linear elements lose 3.2 %; the plane is exact
+    assert found["regions"][0]["volume_mm3"] == pytest.approx(EXACT, rel=2e-4)
+    grid = pv.read(tmp_path / "b.volume.quadratic.vtu")
+    cells, points = grid.cells_dict[pv.CellType.QUADRATIC_TETRA], np.asarray(grid.points)
+    ends = points[cells[:, [[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]]]]
+    middles = points[cells[:, 4:]]
+    in_plane = (np.abs(ends[..., 0]) < 1e-9).all(axis=-1)
+    on_ball = (np.abs(from_left(ends.reshape(-1, 3))) < 1e-5).reshape(ends.shape[:3]).all(axis=-1)
+    assert np.abs(middles[in_plane][:, 0]).max() < 1e-9
+    assert (in_plane & on_ball).any()
+    assert np.abs(np.linalg.norm(middles[in_plane & on_ball][:, 1:], axis=1) - RIM).max() < 1e-5
+
+
+@NEEDS_HXT
 def test_every_format_has_the_quadratic_mesh_in_metres(tmp_path: Path, run: Run) -> None:
     kinds = [kind for kind in FORMATS if kind not in LINEAR_FORMATS]
     fill_bubble(tmp_path, run, 1, "--export", ",".join(kinds), "--unit", "m")
@@ -231,6 +286,8 @@ def test_a_field_of_other_materials_is_refused(tmp_path: Path, run: Run) -> None
         read_distance_field(tmp_path / "f.vti", surface.points, [])
     with pytest.raises(StageError, match="of left, right; the surface is that of left, bone"):
         read_distance_field(tmp_path / "f.vti", surface.points, ["outside", "left", "bone"])
+    with pytest.raises(StageError, match="of left, right; the surface is that of left, right, cut"):
+        read_distance_field(tmp_path / "f.vti", surface.points, [*NAMES, "cut"])
     write_distance(tmp_path / "one.vti", of_ball)
     surface.save(tmp_path / "b.vtp")
     done = run("b.vtp", "-o", "b.vtu", "--order", 2, "--distfield", "one.vti")

@@ -38,7 +38,8 @@ def read_distance_field(path: Path, points: Points, names: list[str]) -> tuple[D
     points
         The vertices of the surface, world coordinates, mm.
     names
-        The names of its materials by number; empty for one object.
+        The names of its materials by number, then those of the planes at which they end; empty for
+        one object.
 
     Returns
     -------

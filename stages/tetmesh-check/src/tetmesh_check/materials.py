@@ -101,6 +101,21 @@ def read_planes(surface: pv.PolyData) -> Planes | None:
     return Planes(numbers, names + [str(number + 1) for number in unnamed])
 
 
+def fronts(sides: Sides, planes: Planes | None) -> Labels:
+    """Return the material in front of each triangle, in the numbers of the distance field.
+
+    There, the spaces beyond planes are materials of their own, which follow those of the surface.
+
+    Parameters
+    ----------
+    sides, planes
+        The materials of the surface, and the planes at which they end.
+    """
+    if planes is None:
+        return sides.outside
+    return np.where(planes.of_triangles < 0, sides.outside, len(sides.table) + planes.of_triangles)
+
+
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
     """Return the materials of a surface; ``None`` for the surface of one object.
 

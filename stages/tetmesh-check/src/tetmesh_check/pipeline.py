@@ -23,7 +23,6 @@ from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform
 from tetmesh_check.forced import find_forced
 from tetmesh_check.gap import refuse_wide
 from tetmesh_check.layers import refuse_layers
-from tetmesh_check.materials import Sides
 from tetmesh_check.measures import mark, measure, separate
 from tetmesh_check.parts.caps import Border
 from tetmesh_check.parts.find import find_parts
@@ -74,6 +73,7 @@ def _read(
             surface = replace(surface, points=points, space=space)
     if arguments.order == 2 and arguments.distfield is not None:
         names = [] if surface.sides is None else surface.sides.names
+        names += [] if surface.planes is None else surface.planes.names
         field, history = read_distance_field(arguments.distfield, surface.points, names)
         context.add_input(arguments.distfield, history)
     if arguments.labels_volume is not None:
@@ -143,13 +143,13 @@ def _curve(
     marked: MarkedMesh,
     parts: Parts,
     field: DistanceField,
-    sides: Sides | None,
+    surface: Surface,
     context: Context,
 ) -> tuple[MarkedMesh, list[Check]]:
     """Add a node on each edge, split interfaces, write this mesh, and check it."""
-    path = arguments.quadratic
+    path, sides = arguments.quadratic, surface.sides
     with context.step("quadratic"):
-        curved = make_quadratic(marked, field, sides)
+        curved = make_quadratic(marked, field, sides, surface.planes)
         mesh = split(curved.mesh, parts)
         write_volume(path, mesh, {"jacobian_bound": curved.jacobian}, context.history())
     found = context.results["quadratic"] = {"file": path.name, **curved.results, "nodes": len(mesh.points)}
@@ -241,7 +241,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with drawing(arguments, context, many):
         checks += _judge(task, filled, context)
         if field is not None:
-            marked, more = _curve(arguments, joined, parts, field, surface.sides, context)
+            marked, more = _curve(arguments, joined, parts, field, surface, context)
             checks += more
         exported = renumbered(marked, arguments.profile)
         for kind in arguments.exports:

@@ -14,7 +14,7 @@ from isoparticles._native import DistanceField
 
 from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import Planes, Sides, fronts
 from tetmesh_check.quality import Values, summarize
 
 
@@ -31,7 +31,9 @@ class Quadratic(NamedTuple):
     """Verdicts on the elements and nodes."""
 
 
-def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None = None) -> Quadratic:
+def make_quadratic(
+    mesh: MarkedMesh, field: DistanceField, sides: Sides | None = None, planes: Planes | None = None
+) -> Quadratic:
     """Add mid-edge nodes: where materials meet on their interfaces, at midpoints elsewhere.
 
     Parameters
@@ -43,9 +45,11 @@ def make_quadratic(mesh: MarkedMesh, field: DistanceField, sides: Sides | None =
     sides
         The materials on both sides of the triangles of ``mesh``; ``None`` for one object, whose
         surface lies between 1 and 0 and whose caps stay flat.
+    planes
+        The planes at which the materials end.
     """
     curved = (~mesh.is_cap).astype(np.int64)
-    between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, sides.outside)
+    between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, fronts(sides, planes))
     found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, *between)
     count = len(mesh.points)
     volumes, straight = found["volumes"], found["straight_volumes"]
