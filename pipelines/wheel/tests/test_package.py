@@ -48,6 +48,12 @@ def halves() -> np.ndarray:
     return labels
 
 
+def tube() -> np.ndarray:
+    """Return label 1 within 4 voxels of an axis along x, and label 2 within 7 voxels."""
+    radius = np.hypot(*(np.mgrid[:20, :20] - 9.5))
+    return np.tile(np.where(radius < 4, 1, np.where(radius < 7, 2, 0)).astype(np.uint8), (20, 1, 1))
+
+
 def program(site: Path, folder: Path, *words: str) -> None:
     command = [str(site / "isoparticles" / "bin" / words[0]), *words[1:]]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
@@ -797,6 +803,58 @@ def test_surfaces_are_filled_with_tetrahedra(iso: ModuleType, tmp_path: Path) ->
         iso.fill(made.size)
     with pytest.raises(ValueError, match=r"ends with \.vtu"):
         iso.fill(made.result, name="volume.stl")
+
+
+@pytest.mark.parametrize(
+    ("chosen", "radii"),
+    [
+        ({"labels": [1, 2]}, {"object": (0, 7)}),
+        ({"materials": {"lumen": 1, "wall": 2}}, {"lumen": (0, 4), "wall": (4, 7)}),
+    ],
+)
+def test_planes_end_labels_and_materials(
+    iso: ModuleType, chosen: dict[str, Any], radii: dict[str, tuple[int, int]]
+) -> None:
+    point, normal = np.array([13, 9.5, 9.5]), np.array([2, 1, 0]) / np.sqrt(5)
+    cut = "plane:13,9.5,9.5,2,1,0=outlet"
+    field = iso.distance_field(tube(), border="flat", cut=[cut], **chosen)
+    assert field.materials == ["outside", *radii, "outlet", "x0", "x1"]
+    size = iso.size_field(field, uniform=1.2)
+    settled = iso.settle(iso.seed(field, size), field, size, backend="cpu")
+    surface = iso.reconstruct(settled, field, size)
+    assert surface.failed_checks == []
+    assert surface.materials == ["outside", *radii]
+    assert surface.meta["caps"] == ["outlet", "x0", "x1"]
+    triangles, caps = surface.to_pyvista(), surface.cell_arrays["cap"]
+    assert set(caps) == {0, 1, 2}
+    corners = surface.vertices[surface.triangles]
+    assert np.abs((corners[caps == 1] - point) @ normal).max() < 1e-6
+    assert np.abs(corners[caps == 2][..., 0] + 0.5).max() < 1e-6
+    areas = triangles.compute_cell_sizes()["Area"]
+    for number, (name, (inner, outer)) in enumerate(radii.items(), 1):
+        assert surface.of(name).to_pyvista().is_manifold
+        across = np.pi * (outer**2 - inner**2)
+        for plane, exact in ((1, across / normal[0]), (2, across)):
+            own = (caps == plane) & (surface.cell_arrays["material_inside"] == number)
+            assert areas[own].sum() == pytest.approx(exact, rel=0.05)
+    with pytest.raises(KeyError, match="outlet"):
+        surface.of("outlet")
+
+
+def test_a_mesh_that_ends_at_planes_is_filled(iso: ModuleType) -> None:
+    pytest.importorskip("gmsh")
+    cut = "--cut plane:13,9.5,9.5,2,1,0=outlet"
+    made = iso.mesh(tube(), labels=[1, 2], border="flat", size=2, distfield_options=cut, backend="cpu")
+    filled = iso.fill(made.result, made.size, made.field, order=2, method="hxt", solve="no")
+    assert filled.failed_checks == []
+    parts = [part["name"] for part in filled.report["results"]["boundary"]["parts"]]
+    assert parts == ["object_to_outside", "object_cap_outlet_1", "object_cap_x0_1"]
+    assert filled.report["results"]["quadratic"]["not_on_surface"] == 0
+    with pytest.raises(TypeError, match="pass distfield_options='--cut "):
+        iso.mesh(tube(), labels=1, cut="plane:13,9.5,9.5,2,1,0")
+    with pytest.raises(iso.Error, match="the plane meets no material") as caught:
+        iso.distance_field(tube(), labels=1, cut="plane:99,0,0,1,0,0")
+    assert caught.value.next
 
 
 def test_surfaces_of_other_programs_are_loaded(iso: ModuleType, tmp_path: Path) -> None:

@@ -48,7 +48,10 @@ class DistfieldOptions(TypedDict, total=False):
     kind: Literal["auto", "scan", "labels"]
     #: Treatment of the object at the border of the volume: cap closes the object half a voxel
     #: beyond the outermost voxel centres, with edges rounded by half a voxel. Default: cap.
-    border: Literal["cap", "open"]
+    border: Literal["cap", "flat", "open"]
+    #: Labels: cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the
+    #: output), and remove the side to which the normal NX,NY,NZ points.
+    cut: str | Iterable[str]
     #: Extent of the grid: object is the bounding box of the object, enlarged by the voxels on which
     #: F depends near the surface. Default: object.
     grid: Literal["object", "volume"]
@@ -306,7 +309,7 @@ class MeshSettings(TypedDict, total=False):
     #: The side of ISO on which the object lies.
     inside: Literal["above", "below"]
     #: The treatment of the object at the border of the volume.
-    border: Literal["cap", "open"]
+    border: Literal["cap", "flat", "open"]
     #: The world frame of the results: lps, ras, or scanner, that of INPUT.
     space: Literal["lps", "ras", "scanner"]
     #: The size of the features to smooth away, mm.

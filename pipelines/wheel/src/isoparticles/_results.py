@@ -164,7 +164,8 @@ class _Field(Result):
 class DistanceField(_Field):
     """The signed distance of one object in mm, negative inside, or the indicators of materials.
 
-    For several materials, ``array`` contains the number of the material at each voxel, and
+    For several materials, and for one object that ends at planes (``border="flat"``, ``cut``),
+    ``array`` contains the number of the material at each voxel, and
     ``arrays["interface_distance"]`` the distance from the nearest interface in mm.
     """
 
@@ -172,7 +173,10 @@ class DistanceField(_Field):
 
     @property
     def materials(self) -> list[str]:
-        """The names of the materials, starting with the outside; empty for one object."""
+        """The names of the materials by number, starting with the outside; empty for one object.
+
+        The names of the planes at which the materials end follow. The object is ``object`` then.
+        """
         return self._data.materials
 
     def _told(self) -> str:
@@ -254,7 +258,11 @@ class Surface(Result):
 
     @property
     def materials(self) -> list[str]:
-        """The names of the materials, starting with the outside; empty for one object."""
+        """The names of the materials, starting with the outside; empty for one object.
+
+        An object that ends at planes is ``object``. ``cell_arrays["cap"]`` contains the number of
+        the plane of each triangle, from 1, and ``meta["caps"]`` the names of the planes.
+        """
         return self._data.materials
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:

@@ -21,6 +21,8 @@ NOT_FOR_TETRAHEDRA = frozenset(
     )
 )
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
+STAGES = ("distfield", "sizefield", "particles", "reconstruct")
+"""Stages whose options :func:`isoparticles.mesh` takes as text."""
 KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
 """Kinds of options by their ``type`` in ``options.toml``. Other types are texts."""
 EXTRA_KEYS = frozenset(
@@ -135,6 +137,10 @@ def settings_of(given: Mapping[str, Any]) -> list[str]:
     known = keys()
     assignments = []
     for name, value in given.items():
+        for stage in () if name in known else STAGES:
+            if name in options(stage):
+                word = options(stage)[name]["name"]
+                raise TypeError(f"{name!r}: no such setting of mesh; pass {stage}_options='--{word} ...'")
         key = find(name, known, "setting of mesh")
         if value is None:
             continue
