@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from types import SimpleNamespace
 
-from tetmesh_check.report.colours import PALETTE, distinct, material_colours
+import numpy as np
+from conftest import volume_with_ball
+
+from tetmesh_check.report.colours import PALETTE, distinct, key_of, material_colours
 
 VISION = {
     "normal": np.eye(3),
@@ -63,3 +66,11 @@ def test_many_materials_differ_from_their_neighbours() -> None:
     # repeated colours look the same
     palette = lab(distinct(PALETTE).astype(float), "normal")
     assert np.linalg.norm(places[1:, None] - palette[None], axis=2).min(axis=1).max() < 3.0
+
+
+def test_the_material_of_an_object_with_planes_has_its_labels() -> None:
+    table = [("outside", [0]), ("object", [1, 2])]
+    materials = [{"name": name, "labels": [{"label": own, "layer": 0} for own in labels]} for name, labels in table]
+    case = SimpleNamespace(reports={"distfield": {"parameters": {"labels": "1,2", "materials": materials}}})
+    (entry,) = key_of(case, volume_with_ball(labels=True), None)  # type: ignore[arg-type]
+    assert (entry.name, entry.labels, entry.meshed) == ("object", (1, 2), True)

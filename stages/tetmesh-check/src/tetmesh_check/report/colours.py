@@ -103,7 +103,12 @@ class Entry:
 
 
 def _labels(entries: Any) -> tuple[int, ...]:
-    """Return the labels of the first layer in a list of labels of a report."""
+    """Return the labels of the first layer in a list of labels of a report.
+
+    The labels of an object that ends at planes are a text; its material lists them.
+    """
+    if isinstance(entries, str):
+        return ()
     found = [entry if isinstance(entry, dict) else {"label": entry, "layer": 0} for entry in entries or []]
     return tuple(int(entry["label"]) for entry in found if entry["layer"] == 0)
 
