@@ -167,7 +167,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   EPSILON=...   ratio of h to local feature size         DELTA=...     maximum gradient of h
   SIZE=...      constant edge length, mm                 MIN_SIZE=...  MAX_SIZE=...  bounds of h, mm
   VERTICES=...  number of vertices, instead of a size    QUALITY=...   coarse, medium or fine
-  SCALE=...     smooth away features below this, mm      BORDER=...    cap or open
+  SCALE=...     smooth away features below this, mm      BORDER=...    cap, flat or open
   SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
   SPACE=...     world frame of the results: lps, ras, or scanner, that of INPUT [lps]
