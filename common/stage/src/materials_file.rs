@@ -23,11 +23,11 @@ pub const KIND: &str = "materials";
 /// Version of the file layout.
 const VERSION: u32 = 1;
 
-/// Version of files with planes at which the materials end. Programs that do not know these planes
-/// would continue the materials beyond them.
+/// Version of files with planes at which the materials end. Readers of version 1 refuse it; they
+/// would ignore the planes and continue the materials beyond them.
 const VERSION_WITH_BOUNDS: u32 = 2;
 
-/// Name of the text with these planes.
+/// Name of the JSON text with these planes.
 const BOUNDS: &str = "bounds";
 
 /// The point data, for display. The x index varies fastest.

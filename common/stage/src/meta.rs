@@ -103,6 +103,9 @@ impl DistanceMeta {
 pub struct MaterialsMeta {
     /// Version of the metadata.
     pub version: u32,
+    /// The source of the materials; labels if it is missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<Source>,
     /// Treatment of the materials at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
@@ -149,8 +152,8 @@ pub struct SurfaceMeta {
     /// Treatment of the object at the border of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// Names of the planes at which the materials end, by the number in the triangle array `cap`,
-    /// from 1.
+    /// Names of the planes at which the materials end. The triangle array `cap` contains the
+    /// numbers of the planes, from 1.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub caps: Vec<String>,
     /// Descriptions of the failed checks.

@@ -84,14 +84,14 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
     /// Treatment of the object at the border of the volume: cap closes the object half a voxel
-    /// beyond the outermost voxel centres, with edges rounded by half a voxel; flat closes labels
-    /// there by planes with sharp edges, and names the faces in the planes; open extends the
-    /// surface straight out of the volume
+    /// beyond the outermost voxel centres, with rims rounded by half a voxel; flat closes it there
+    /// by planes with sharp rims, and names the faces in the planes; open extends the surface
+    /// straight out of the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = BorderChoice::Cap, help_heading = METHOD)]
     pub border: BorderChoice,
-    /// Labels: cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the
-    /// output), and remove the side to which the normal NX,NY,NZ points. The faces in the plane are
-    /// planar with sharp edges, and are named after it; may be repeated
+    /// Cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the output),
+    /// and remove the side to which the normal NX,NY,NZ points. The caps in the plane have sharp
+    /// rims and are named after it; may be repeated
     #[arg(long, value_name = "plane:X,Y,Z,NX,NY,NZ[=NAME]", allow_hyphen_values = true, help_heading = METHOD)]
     pub cut: Vec<Cut>,
     /// Extent of the grid: object is the bounding box of the object, enlarged by the voxels on
@@ -141,16 +141,17 @@ const MOST_CLEARANCE: f64 = 0.15;
 /// Treatment of the object at the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum BorderChoice {
-    /// Close the object with rounded edges.
+    /// Close the object with rounded rims.
     Cap,
-    /// Close the object by planes with sharp edges.
+    /// Close the object by planes with sharp rims.
     Flat,
     /// Extend the surface straight out of the volume.
     Open,
 }
 
 impl BorderChoice {
-    /// Returns the treatment of the fields. With flat borders, they extend beyond the planes.
+    /// Returns the treatment of the indicators at the border. With flat borders, they continue
+    /// beyond it, and planes end the materials later.
     pub(crate) fn of_fields(self) -> Border {
         if self == Self::Cap { Border::Cap } else { Border::Open }
     }
@@ -176,11 +177,6 @@ impl From<BorderChoice> for meta::Border {
 }
 
 impl Args {
-    /// Returns whether materials end at planes, at the border of the volume or within it.
-    pub(crate) fn has_planes(&self) -> bool {
-        self.border == BorderChoice::Flat || !self.cut.is_empty()
-    }
-
     /// Returns the options that determine the result, for the history of the output file.
     pub(crate) fn to_parameters(&self) -> Value {
         let (border, keep) = (self.border.name(), self.keep.to_string());

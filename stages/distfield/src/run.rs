@@ -9,13 +9,12 @@ use crate::crop::room_of_spline;
 use crate::input::take_out;
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
-use crate::materials::MaterialChoice;
 use crate::reduce::reduce;
 use crate::report::{LISTED_SURFACES, check_volume, describe, failed_checks, tell_grid};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
 use crate::unshear::{Wanted, unshear};
-use crate::{Border, Redistanced, materials};
+use crate::{Redistanced, materials};
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs};
 use isoparticles_stage::distance_field::DistanceField;
@@ -77,8 +76,12 @@ pub struct Made {
 /// If the volume does not contain the selected surface, if there is not enough memory, or if the
 /// run is interrupted.
 pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
-    if args.has_planes() && args.material.is_empty() {
-        return compute(&as_material(args)?, volume, context);
+    if args.border == BorderChoice::Open && !args.cut.is_empty() {
+        return Err(Error::input(
+            "--cut cannot be combined with --border open (BORDER=open)",
+            "an object that ends at planes must also be closed at the border of the volume",
+            "use BORDER=flat or BORDER=cap (--border flat or cap), or leave out --cut",
+        ));
     }
     for remark in &volume.remarks {
         context.warn(remark);
@@ -100,22 +103,12 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     describe(&result, &meta, context);
     let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
+    if args.border == BorderChoice::Flat || !args.cut.is_empty() {
+        let file = materials::object_with_planes(args, result.field, meta, context).map_err(about_file)?;
+        return Ok(Made { distance: DistanceField::Materials(Arc::new(file)), failed });
+    }
     let (image, meta, history) = (Arc::new(result.field), json!(meta), Some(context.history()));
     Ok(Made { distance: DistanceField::Object(Field { image, meta, history, kind: FieldKind::Distance }), failed })
-}
-
-/// Returns the options with the labels of one object as a material, because only materials end at
-/// planes.
-fn as_material(args: &Args) -> Result<Args> {
-    let Some(labels) = args.labels.clone() else {
-        let option = if args.cut.is_empty() { "--border flat" } else { "--cut" };
-        return Err(Error::input(
-            format!("{option} cannot be combined with --iso (ISO)"),
-            "only materials, which are made of labels, end at planes with sharp edges",
-            "leave it out, or segment the volume and select LABELS (--labels)",
-        ));
-    };
-    Ok(Args { material: vec![MaterialChoice::Labels("object".to_owned(), vec![labels])], labels: None, ..args.clone() })
 }
 
 /// Returns the object that the options select. `labels` contains the resolved labels of `--labels`.
@@ -149,9 +142,9 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
         (None, Object::Labels(labels)) => extract_labels(args, volume, labels, cut, context),
         (None, Object::Iso(iso, _)) => extract_iso(volume, *iso, &options, context),
     }?;
-    let cap_planes = match args.border.of_fields() {
-        Border::Cap => cap_planes(&result.field, &whole),
-        Border::Open => Vec::new(),
+    let cap_planes = match args.border {
+        BorderChoice::Open => Vec::new(),
+        BorderChoice::Cap | BorderChoice::Flat => cap_planes(&result.field, &whole),
     };
     tell_grid(&whole.padded(margin), &result.field.geometry, context);
     notes["margin"] = json!(margin);

@@ -1,10 +1,10 @@
 //! Ends materials at planes, such as the faces of the volume.
 //!
-//! The space beyond a plane is a material of its own, with the number that follows those of all
-//! materials. Its indicator is F_b = F_m - 2 s, where F_m is the smallest indicator of a material
-//! other than the outside, and s is the signed distance from the plane, positive beyond it. The
-//! difference G_mb = (F_m - F_b) / 2 is then s, so the interface is the plane itself, and its rim
-//! is a junction curve. The space beyond planes belongs to the region of the outside
+//! The space beyond each plane is an additional material; these materials have the numbers after
+//! all others. The indicator is F_b = F_m - 2 s, where F_m is the smallest indicator of a material
+//! other than the outside, and s is the signed distance from the plane (mm), positive beyond it.
+//! The difference G_mb = (F_m - F_b) / 2 is then s, so the interface is the plane itself, and its
+//! rim is a junction curve. The outside and the spaces beyond all planes form one *region*
 //! ([`Indicators::region`]); there are no interfaces within a region.
 
 use super::strata::half_difference;
@@ -13,19 +13,15 @@ use crate::spline::Jet;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Distance from a plane, in mean voxel spacings, within which the indicator of the space beyond it
-/// is known. It exceeds the spacing along every axis, so that both ends of each grid edge that
-/// crosses the plane know it.
-const REACH: f64 = 3.0;
-
-/// Indicator of a material, in mean voxel spacings, where only its sign is known. Only differences
-/// matter there: no interface of two materials is nearer than [`KNOWN_VOXELS`].
+/// Depth, in mean voxel spacings, that replaces an infinite one deep inside a material. Only
+/// F_m - F_b is used there, which does not depend on F_m: no interface of two materials is nearer
+/// than [`KNOWN_VOXELS`].
 const DEEP: f64 = KNOWN_VOXELS as f64;
 
 /// A plane at which materials end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bound {
-    /// Name of the faces in the plane.
+    /// Name of the triangles in the plane.
     pub name: String,
     /// A point of the plane in the grid frame, mm.
     pub point: DVec3,
@@ -47,13 +43,17 @@ pub struct Bounded<'a, I> {
     bounds: &'a [Bound],
     /// Number of the space beyond the first plane.
     first: u16,
+    /// Distance from a plane (mm) within which the indicator of the space beyond it is known.
+    reach: f64,
 }
 
 impl<'a, I: Indicators> Bounded<'a, I> {
     /// Ends materials at planes. `first` is the number of the space beyond the first plane, which
-    /// follows the numbers of all materials of `inner`.
-    pub fn new(inner: I, bounds: &'a [Bound], first: MaterialId) -> Self {
-        Self { inner, bounds, first: first.0 }
+    /// follows the numbers of all materials of `inner`. `diagonal` is the diagonal of a grid cell
+    /// (mm). The spaces beyond planes are then known at both ends of every edge that crosses a
+    /// plane when cells are cut into tetrahedra ([`super::complex`]).
+    pub fn new(inner: I, bounds: &'a [Bound], first: MaterialId, diagonal: f64) -> Self {
+        Self { inner, bounds, first: first.0, reach: diagonal * (1.0 + 1e-9) }
     }
 
     /// Returns the plane of a material that is the space beyond a plane.
@@ -64,7 +64,7 @@ impl<'a, I: Indicators> Bounded<'a, I> {
     /// Returns the spaces beyond planes whose indicators are known at a position, with the signed
     /// distances from the planes.
     fn near_bounds(&self, grid: DVec3) -> impl Iterator<Item = (MaterialId, f64)> {
-        let least = -REACH * self.inner.voxel();
+        let least = -self.reach;
         let all = (self.first..).map(MaterialId).zip(self.bounds);
         all.map(move |(id, bound)| (id, bound.distance(grid))).filter(move |(_, distance)| *distance > least)
     }
@@ -80,9 +80,9 @@ impl<'a, I: Indicators> Bounded<'a, I> {
         value.max(-DEEP * self.inner.voxel())
     }
 
-    /// Returns the plane between two materials, and the factor of its signed distance in the
-    /// difference of their indicators. Returns `None` unless exactly one of the materials is the
-    /// space beyond a plane, and the other is not the outside.
+    /// Returns the plane between two materials, and the sign of its distance s in G_ij. Returns
+    /// `None` unless exactly one of the materials is the space beyond a plane, and the other is not
+    /// the outside. This other material is taken as the one with the indicator F_m.
     fn plane_between(&self, i: MaterialId, j: MaterialId) -> Option<(&'a Bound, f64)> {
         match (self.bound(i), self.bound(j)) {
             (None, Some(bound)) if i != MaterialId::OUTSIDE => Some((bound, 1.0)),

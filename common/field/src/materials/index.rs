@@ -257,7 +257,7 @@ impl Materials {
     }
 }
 
-/// The materials without the planes at which they end.
+/// The materials as if they continued beyond the planes at which they end.
 struct Unbounded<'a>(&'a Materials);
 
 impl Indicators for Unbounded<'_> {
@@ -345,10 +345,11 @@ impl Indicators for Unbounded<'_> {
 }
 
 impl Materials {
-    /// Returns the materials, which end at the planes.
+    /// Returns the indicators of the materials, ended at the planes.
     #[inline(always)]
     fn bounded(&self) -> Bounded<'_, Unbounded<'_>> {
-        Bounded::new(Unbounded(self), &self.bounds, MaterialId(self.indicators.len() as u16))
+        let first = MaterialId(self.indicators.len() as u16);
+        Bounded::new(Unbounded(self), &self.bounds, first, self.geometry.spacing.length())
     }
 }
 

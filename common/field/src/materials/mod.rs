@@ -162,6 +162,11 @@ pub trait Indicators: Sync {
         id
     }
 
+    /// Returns whether a material is the space beyond a plane.
+    fn is_beyond(&self, id: MaterialId) -> bool {
+        self.region(id) != id
+    }
+
     /// Returns whether materials belong to at least two regions.
     fn are_separate(&self, ids: &[MaterialId]) -> bool {
         ids.iter().any(|&id| self.region(id) != self.region(ids[0]))

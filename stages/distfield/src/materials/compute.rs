@@ -3,14 +3,14 @@
 
 use super::choice::{Chosen, resolve};
 use super::contacts::ContactReport;
-use super::cut::{check_cuts, with_planes};
+use super::cut::{survey_cut, with_planes};
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::{remove_empty, remove_islands};
 use super::overlaps::{Reassigned, settle};
 use super::scaled::edge_length;
 use super::scales::Scales;
-use super::survey::{Survey, distance_limit, survey};
+use super::survey::{Survey, distance_limit};
 use crate::args::{Args, BorderChoice};
 use crate::changes::{Changes, Kind, SPECK_SHARE};
 use crate::choose::ScaleArgs;
@@ -25,7 +25,7 @@ use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::material_sizes::{Given, GivenSize};
 use isoparticles_stage::materials_file::{MaterialsFile, Shown};
-use isoparticles_stage::meta::{self, MaterialsMeta};
+use isoparticles_stage::meta::{self, MaterialsMeta, Source};
 use isoparticles_volume::{Volume, VoxelBox};
 use serde_json::{Map, Value, json};
 
@@ -68,11 +68,9 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     tell_scales(range, args, context);
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let step = context.step("materials checked");
-    let at_border = if args.border == BorderChoice::Flat { grid.bounds() } else { Vec::new() };
+    let at_border = if args.border == BorderChoice::Flat { grid.border_planes() } else { Vec::new() };
     let materials = with_planes(materials, &args.cut, at_border)?;
-    let count = materials.table().len();
-    let found = survey(&materials, materials.geometry(), &grid, count, materials.bounds(), context)?;
-    check_cuts(&args.cut, &materials, &found)?;
+    let found = survey_cut(&materials, &grid, &args.cut, context)?;
     drop(step);
     drop(grid);
     let notes = notes(&materials, &tallies, &found);
@@ -93,6 +91,7 @@ pub(crate) fn compute(args: &Args, mut volume: Volume, context: &Context) -> Res
     };
     let meta = MaterialsMeta {
         version: meta::VERSION,
+        source: Some(Source::Labels),
         border: Some(args.border.into()),
         margin: Some(args.margin.into()),
         distance_limit: Some(distance_limit(materials.geometry())),
@@ -197,7 +196,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
         Some(choice) => choice,
         None => {
             let _step = context.step("choose the scale");
-            // flat borders close the materials as well
+            // flat borders close the materials as caps do
             let border = if args.border == BorderChoice::Open { Border::Open } else { Border::Cap };
             let mut grid = LabelGrid::new(volume, chosen, border, args.margin.into());
             let mut table = chosen.table.clone();
@@ -246,7 +245,7 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
             "name": materials.table()[id].name,
             "labels": materials.table()[id].labels,
             "voxels": tally.voxels,
-            "volume_before": found.volumes_before[id],
+            "volume_before": found.voxel_volumes[id],
             "volume": found.volumes[id],
             "voxels_changed": found.changed[id],
             "undecided_junctions": tally.undecided,
@@ -278,7 +277,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     order.sort_by_key(|&id| (std::cmp::Reverse(tallies[id].voxels), id));
     context.summary("number of materials", format!("{} and the outside", order.len()));
     for &id in order.iter().take(MOST_ROWS) {
-        let (tally, before) = (&tallies[id], found.volumes_before[id]);
+        let (tally, before) = (&tallies[id], found.voxel_volumes[id]);
         let told = format!(
             "{} voxels, {} -> {} mm^3 ({:+.2} %), {} -> {} components",
             tally.voxels,
@@ -322,7 +321,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
 /// material first.
 fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, limit: f64) -> Vec<String> {
     let mut changed: Vec<(usize, f64)> = (1..tallies.len())
-        .map(|id| (id, found.volumes[id] / found.volumes_before[id] - 1.0))
+        .map(|id| (id, found.volumes[id] / found.voxel_volumes[id] - 1.0))
         .filter(|(_, change)| change.abs() > limit)
         .collect();
     changed.sort_by_key(|&(id, _)| (std::cmp::Reverse(tallies[id].voxels), id));

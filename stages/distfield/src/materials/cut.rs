@@ -1,9 +1,11 @@
 //! Planes that cut materials (`--cut`).
 
-use super::survey::Survey;
+use super::grid::LabelGrid;
+use super::survey::{Survey, survey};
 use glam::DVec3;
 use isoparticles_field::materials::{Bound, MaterialId, Materials};
-use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result as StageResult};
+use isoparticles_stage::monitor::Monitor;
 use std::str::FromStr;
 
 /// A plane that cuts materials. The materials on the side to which the normal points are removed.
@@ -13,7 +15,7 @@ pub struct Cut {
     point: DVec3,
     /// Normal of the plane in this frame, of any length.
     normal: DVec3,
-    /// Name of the faces in the plane.
+    /// Name of the triangles in the plane.
     name: Option<String>,
     /// The option as given.
     text: String,
@@ -22,16 +24,16 @@ pub struct Cut {
 impl FromStr for Cut {
     type Err = String;
 
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, String> {
         let (shape, name) = text.split_once('=').map_or((text, None), |(shape, name)| (shape, Some(name.trim())));
         let numbers = shape.trim().strip_prefix("plane:").unwrap_or_default().split(',');
-        let numbers: Vec<f64> = numbers.filter_map(|number| number.trim().parse().ok()).collect();
-        let &[x, y, z, u, v, w] = &numbers[..] else {
+        let numbers: Result<Vec<f64>, _> = numbers.map(|number| number.trim().parse()).collect();
+        let Ok(&[x, y, z, u, v, w]) = numbers.as_deref() else {
             return Err("write plane:X,Y,Z,NX,NY,NZ or plane:X,Y,Z,NX,NY,NZ=NAME".to_owned());
         };
         let (point, normal) = (DVec3::new(x, y, z), DVec3::new(u, v, w));
         if !point.is_finite() || normal.try_normalize().is_none() {
-            return Err("the numbers must be finite, and the normal must have a direction".to_owned());
+            return Err("the six numbers must be finite, and the normal NX,NY,NZ must not be zero".to_owned());
         }
         if name == Some("") {
             return Err("the name after '=' is empty".to_owned());
@@ -46,12 +48,12 @@ impl std::fmt::Display for Cut {
     }
 }
 
-/// Ends materials at planes: those of `--cut`, then those at the border of the volume. Planes of
-/// `--cut` without a name are named `cut1`, `cut2` and so on.
+/// Ends materials at planes: those of `--cut`, then those at the border of the volume. A plane of
+/// `--cut` without a name is named `cutN`, where N is its number from 1.
 ///
 /// # Errors
-/// If a name is taken.
-pub(super) fn with_planes(materials: Materials, cuts: &[Cut], at_border: Vec<Bound>) -> Result<Materials> {
+/// If the name of a plane is that of a material or of another plane, ignoring case.
+pub(super) fn with_planes(materials: Materials, cuts: &[Cut], at_border: Vec<Bound>) -> StageResult<Materials> {
     let geometry = materials.geometry();
     let bound = |(n, cut): (usize, &Cut)| {
         let point = geometry.world_to_grid(cut.point);
@@ -63,11 +65,11 @@ pub(super) fn with_planes(materials: Materials, cuts: &[Cut], at_border: Vec<Bou
     let mut taken = materials.names();
     for (n, bound) in bounds.iter().enumerate() {
         if taken.iter().any(|other| other.eq_ignore_ascii_case(&bound.name)) {
-            let text = cuts.get(n).map_or("", |cut| &cut.text);
+            let option = cuts.get(n).map_or_else(|| "--border flat".to_owned(), |cut| format!("--cut {cut}"));
             return Err(Error::input(
-                format!("--cut {text}: the name '{}' is taken", bound.name),
-                "materials, planes and faces of the volume (x0, x1, y0, ...) have different names",
-                "choose another name: --cut plane:X,Y,Z,NX,NY,NZ=NAME",
+                format!("{option}: the name '{}' is taken", bound.name),
+                "materials, planes and faces of the volume (x0, x1, y0, ...) must have different names",
+                "rename the plane (--cut plane:X,Y,Z,NX,NY,NZ=NAME) or the material (MATERIALS, --material)",
             ));
         }
         taken.push(bound.name.clone());
@@ -75,11 +77,19 @@ pub(super) fn with_planes(materials: Materials, cuts: &[Cut], at_border: Vec<Bou
     Ok(materials.with_bounds(bounds))
 }
 
-/// Checks that each plane cuts a material, and that no material lies beyond the planes.
+/// Surveys materials that end at planes. Checks that each plane of `cuts` cuts a material, and that
+/// no material lies beyond the planes.
 ///
 /// # Errors
-/// If a check fails.
-pub(super) fn check_cuts(cuts: &[Cut], materials: &Materials, found: &Survey) -> Result<()> {
+/// If a check fails, or the run is interrupted.
+pub(super) fn survey_cut(
+    materials: &Materials,
+    grid: &LabelGrid,
+    cuts: &[Cut],
+    monitor: &dyn Monitor,
+) -> StageResult<Survey> {
+    let count = materials.table().len();
+    let found = survey(materials, materials.geometry(), grid, count, materials.bounds(), monitor)?;
     let is_cut = |bound: usize| {
         let beyond = MaterialId((materials.indicators().len() + bound) as u16);
         found.interfaces.iter().any(|pair| pair.materials[1] == beyond && pair.materials[0] != MaterialId::OUTSIDE)
@@ -88,25 +98,18 @@ pub(super) fn check_cuts(cuts: &[Cut], materials: &Materials, found: &Survey) ->
         return Err(Error::input(
             format!("--cut {cut}: the plane meets no material"),
             "it would cut nothing",
-            "check the position (mm, world frame of the output); isoparticles info prints the box of each label",
+            "check the position (mm, world frame of the output); isoparticles info prints the bounding box of each label",
         ));
     }
     let is_gone = |id: &usize| !cuts.is_empty() && found.volumes[*id] <= 0.0;
     match (1..materials.indicators().len()).find(is_gone) {
         Some(gone) => Err(Error::input(
-            format!("--cut: the material '{}' lies beyond the planes", materials.table()[gone].name),
-            "nothing is left of it",
+            format!("--cut: the planes remove the whole material '{}'", materials.table()[gone].name),
+            "a material without volume cannot be meshed",
             "reverse the normal, move the plane, or leave the material out of MATERIALS (--material)",
         )),
-        None => Ok(()),
+        None => Ok(found),
     }
-}
-
-/// Returns the fraction of a voxel before all planes. For each plane, the fraction is exact if an
-/// axis of the grid is normal to it; otherwise its errors cancel on average.
-pub(super) fn share_before(bounds: &[Bound], centre: DVec3, spacing: DVec3) -> f64 {
-    let before = |bound: &Bound| (0.5 - bound.distance(centre) / bound.normal.abs().dot(spacing)).clamp(0.0, 1.0);
-    bounds.iter().map(before).product()
 }
 
 #[cfg(test)]
@@ -120,15 +123,21 @@ mod tests {
         let cut: Cut = "plane:1, 2,-3,0,0,2=inlet".parse().expect("a plane");
         assert_eq!((cut.point, cut.name.as_deref()), (DVec3::new(1.0, 2.0, -3.0), Some("inlet")));
         assert_eq!("plane:0,0,0,1,0,0".parse::<Cut>().map(|cut| cut.name), Ok(None));
-        for wrong in
-            ["", "plane:1,2,3", "ball:1,2,3,4,5,6", "plane:0,0,0,0,0,0", "plane:a,0,0,1,0,0", "plane:0,0,0,1,0,0="]
-        {
+        for wrong in [
+            "",
+            "plane:1,2,3",
+            "ball:1,2,3,4,5,6",
+            "plane:0,0,0,0,0,0",
+            "plane:a,0,0,1,0,0",
+            "plane:1,2,x,3,4,5,6",
+            "plane:0,0,0,1,0,0=",
+        ] {
             assert!(wrong.parse::<Cut>().is_err(), "{wrong}");
         }
     }
 
     #[test]
-    fn planes_are_converted_to_the_grid_and_have_different_names() {
+    fn planes_are_converted_to_the_grid_and_need_unique_names() {
         let mut geometry = Geometry::axis_aligned([10; 3], DVec3::splat(0.5));
         geometry.origin = DVec3::new(3.0, 0.0, 0.0);
         let outside =
@@ -141,20 +150,5 @@ mod tests {
         assert!(bound.distance(DVec3::X).abs() < 1e-12 && bound.normal.distance(DVec3::X) < 1e-12);
         let face = Bound { name: "Top".to_owned(), ..bound.clone() };
         assert!(with_planes(materials, &cuts, vec![face]).is_err());
-    }
-
-    #[test]
-    fn shares_of_voxels_sum_to_the_volume_before_the_plane() {
-        let spacing = DVec3::new(1.0, 0.5, 2.0);
-        let bound = |normal: DVec3, at: f64| {
-            let normal = normal.normalize();
-            [Bound { name: String::new(), point: DVec3::new(10.0, 5.0, 20.0) + at * normal, normal }]
-        };
-        let sum = |bounds: &[Bound]| -> f64 {
-            let centres = (0..8000).map(|n| DVec3::new((n % 20) as f64, (n / 20 % 20) as f64, (n / 400) as f64) + 0.5);
-            centres.map(|at| share_before(bounds, at * spacing, spacing)).sum()
-        };
-        assert!((sum(&bound(DVec3::X, 0.3)) - 8000.0 * 10.3 / 20.0).abs() < 1e-9);
-        assert!((sum(&bound(DVec3::new(1.0, 2.0, 0.5), 0.0)) / 4000.0 - 1.0).abs() < 1e-3);
     }
 }

@@ -2,10 +2,10 @@
 //! the volume.
 
 use super::choice::Chosen;
+use super::planes::face_plane;
 use crate::mask::Mask;
 use crate::scale::Coarser;
 use crate::{Border, bits::Bits};
-use glam::DVec3;
 use isoparticles_field::materials::{Bound, MaterialId};
 use isoparticles_volume::{Geometry, LayerLabel, Volume};
 use rayon::prelude::*;
@@ -96,9 +96,9 @@ impl LabelGrid {
         MaterialId(self.numbers[self.geometry.linear(voxel[0], voxel[1], voxel[2])])
     }
 
-    /// Returns the planes of the faces of the volume that materials touch, half a voxel beyond the
-    /// outermost voxel centres of the padded grid (grid frame, mm).
-    pub fn bounds(&self) -> Vec<Bound> {
+    /// Returns planes half a voxel beyond the outermost voxel centres, at the faces of the volume
+    /// that materials touch. Positions are in the frame of the padded grid, mm.
+    pub fn border_planes(&self) -> Vec<Bound> {
         let Geometry { size, spacing, .. } = self.geometry;
         let [nx, ny, _] = size;
         let is_touched = |axis: usize, layer: usize| {
@@ -109,13 +109,9 @@ impl LabelGrid {
         };
         let face = |axis: usize, is_last: bool| {
             let layer = if is_last { size[axis] - 1 } else { 0 };
-            let outward = if is_last { DVec3::AXES[axis] } else { -DVec3::AXES[axis] };
-            let centre = (self.margin + layer) as f64 * spacing[axis] * DVec3::AXES[axis];
-            is_touched(axis, layer).then(|| Bound {
-                name: format!("{}{}", ["x", "y", "z"][axis], u8::from(is_last)),
-                point: centre + 0.5 * spacing[axis] * outward,
-                normal: outward,
-            })
+            let half = if is_last { 0.5 } else { -0.5 };
+            let position = ((self.margin + layer) as f64 + half) * spacing[axis];
+            is_touched(axis, layer).then(|| face_plane(axis, is_last, position))
         };
         (0..3).flat_map(|axis| [false, true].map(|is_last| face(axis, is_last))).flatten().collect()
     }

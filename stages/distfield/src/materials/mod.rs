@@ -5,8 +5,9 @@
 //! maps voxels to materials; [`islands`] removes small components. [`mod@extract`] computes the
 //! indicators one after the other, by the method for a single object or, if there are [`scales`],
 //! from the level sets of [`scaled`]. [`contacts`] corrects the indicators where several materials
-//! meet. `cut` ends materials at planes. [`survey`] measures the result: the material of every
-//! node, volumes, areas, junctions and changed voxel centres. `compute` performs these steps.
+//! meet. `cut` ends materials at planes, and `object` does so for a single object. [`survey`]
+//! measures the result: the material of every node, volumes, areas, junctions and changed voxel
+//! centres. `compute` performs these steps.
 
 pub mod choice;
 mod compute;
@@ -15,7 +16,9 @@ mod cut;
 pub mod extract;
 pub mod grid;
 pub mod islands;
+mod object;
 pub mod overlaps;
+mod planes;
 pub mod scaled;
 pub mod scales;
 pub mod survey;
@@ -25,3 +28,4 @@ pub(crate) use compute::{check_options, compute};
 pub use cut::Cut;
 pub use extract::{Extracted, MaterialOptions, Tally, extract};
 pub use grid::LabelGrid;
+pub(crate) use object::object_with_planes;

@@ -2,8 +2,8 @@
 //! the volumes of materials, the areas of interfaces, the numbers of junctions, and the voxel
 //! centres that changed material.
 
-use super::cut::share_before;
 use super::grid::LabelGrid;
+use super::planes::fraction_left;
 use crate::Border;
 use glam::DVec3;
 use isoparticles_field::enclosed::enclosed_volumes;
@@ -50,8 +50,8 @@ pub struct Survey {
     pub interface_distance: Vec<f32>,
     /// For each material, the number of its voxel centres where another indicator is smaller.
     pub changed: Vec<usize>,
-    /// Volume of the voxels of each material, mm^3, before the planes at which materials end.
-    pub volumes_before: Vec<f64>,
+    /// Volume of the voxels of each material, mm^3, as far as the planes leave them.
+    pub voxel_volumes: Vec<f64>,
     /// Volume of each material, mm^3. The outside includes only space within the volume.
     pub volumes: Vec<f64>,
     /// The pairs of materials that touch.
@@ -106,7 +106,7 @@ pub fn survey(
     let sums: Vec<Sums> = slices.map(|k| slice_sums(indicators, geometry, &material, &counted, k)).collect();
     monitor.check()?;
     let mut survey = Survey { changed: vec![0; materials], volumes: vec![0.0; materials], ..Survey::default() };
-    survey.volumes_before = volumes_before(grid, bounds, materials);
+    survey.voxel_volumes = voxel_volumes(grid, bounds, materials);
     for (id, count) in changed.into_iter().flatten() {
         survey.changed[id.index()] += count;
     }
@@ -137,17 +137,17 @@ pub fn survey(
     Ok(survey)
 }
 
-/// Returns the volume of the voxels of each material (mm^3) before planes.
-fn volumes_before(grid: &LabelGrid, bounds: &[Bound], materials: usize) -> Vec<f64> {
+/// Returns the volume of the voxels of each material (mm^3), as far as the planes leave them.
+pub(super) fn voxel_volumes(grid: &LabelGrid, bounds: &[Bound], materials: usize) -> Vec<f64> {
     let Geometry { size: [nx, ny, _], spacing, .. } = grid.geometry;
-    let mut shares = vec![0.0; materials];
+    let mut fractions = vec![0.0; materials];
     for (row, numbers) in grid.numbers.chunks(nx).enumerate() {
         for (i, &number) in numbers.iter().enumerate() {
             let voxel = DVec3::from_array([i, row % ny, row / ny].map(|n| (n + grid.margin) as f64));
-            shares[usize::from(number)] += share_before(bounds, voxel * spacing, spacing);
+            fractions[usize::from(number)] += fraction_left(bounds, voxel * spacing, spacing);
         }
     }
-    shares.into_iter().map(|share| share * spacing.element_product()).collect()
+    fractions.into_iter().map(|fraction| fraction * spacing.element_product()).collect()
 }
 
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
@@ -176,7 +176,7 @@ fn survey_nodes(
                 *material = own.0;
                 *distance = (near.interface_distance() as f32).min(limit);
                 let label = grid.at([i, j, k]);
-                let is_beyond = indicators.region(own) != own;
+                let is_beyond = indicators.is_beyond(own);
                 if label != own && !is_beyond && counted_at([i, j, k]) {
                     *changed.entry(label).or_default() += 1;
                 }
@@ -276,8 +276,9 @@ fn slice_sums(
         let (at, n) = ([i, j, k], (k * ny + j) * nx + i);
         let has_next: [bool; 3] = std::array::from_fn(|a| at[a] + 1 < counted[a].end);
         for axis in 0..3 {
-            if has_next[axis] && material[n] != material[n + stride[axis]] {
-                sums.add_crossing(indicators, geometry, at, axis, [material[n], material[n + stride[axis]]]);
+            let ends = [n, n + if has_next[axis] { stride[axis] } else { 0 }].map(|node| MaterialId(material[node]));
+            if indicators.are_separate(&ends) {
+                sums.add_crossing(indicators, geometry, at, axis, ends);
             }
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             if has_next[u] && has_next[v] {
@@ -318,9 +319,8 @@ impl Sums {
         geometry: &Geometry,
         at: [usize; 3],
         axis: usize,
-        numbers: [u16; 2],
+        [i, j]: [MaterialId; 2],
     ) {
-        let [i, j] = numbers.map(MaterialId);
         let step = DVec3::AXES[axis] * geometry.spacing[axis];
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;

@@ -42,11 +42,12 @@ pub(crate) fn compute(
         return Err(Error::input(
             format!("{}: the materials are open at the border of the volume", path.display()),
             "interfaces of many materials must be closed there",
-            "run distfield with --border cap",
+            "run distfield again with --border flat or --border cap",
         ));
     }
-    // without a scale, voxel centres keep their materials
-    let options = Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
+    // without a scale, the voxel centres of labels keep their materials
+    let source = told.source.unwrap_or(Source::Labels);
+    let options = Options { keeps_voxels: told.scale.is_none() && source == Source::Labels, ..args.general_options() };
     let (table, caps) = given.materials.table().split_at(given.materials.indicators().len());
     let names = given.materials.table();
     let made = reconstruct((&file.particles, strata), &given.materials, names, sizing, &options, context)
@@ -61,7 +62,7 @@ pub(crate) fn compute(
     let surface = attributes(&made, table.len() as u16, geometry);
     let meta = SurfaceMeta {
         version: meta::VERSION,
-        source: Some(Source::Labels),
+        source: Some(source),
         border: told.border,
         failed_checks: made.failed,
         components: made.pieces.iter().map(|own| own.components).sum(),
@@ -88,8 +89,8 @@ pub(crate) fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Stra
 }
 
 /// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
-/// that meet) and triangles (the two materials, radius ratio, and the number of the plane at which
-/// the material ends, from 1). The numbers of the spaces beyond planes start with `first_beyond`.
+/// that meet) and triangles (the two regions, radius ratio, and the number of the plane in which
+/// the triangle lies, from 1). `first_beyond` is the number of the space beyond the first plane.
 fn attributes(made: &Reconstruction, first_beyond: u16, geometry: &Geometry) -> Surface {
     let Interfaces { mesh, between, .. } = &made.interfaces;
     let mut surface = Surface::from_grid(mesh, geometry);

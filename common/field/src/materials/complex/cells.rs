@@ -149,8 +149,9 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
             self.equal_between([from, to], [a.own, b.own])[1]
         };
         let between = self.indicators.near(from.position + (to.position - from.position) * share);
-        // on a plane, the space beyond it has the same indicator as the nearest material
-        let is_beyond = |id: MaterialId| self.indicators.region(id) != id;
+        // on a plane, the space beyond it and the nearest material have equal indicators, so this
+        // space is not a third material there
+        let is_beyond = |id: MaterialId| self.indicators.is_beyond(id);
         let is_on_plane = is_beyond(a.own) != is_beyond(b.own) && self.indicators.are_separate(&[a.own, b.own]);
         let mut others = between.entries().iter().map(|(id, _)| *id).filter(|&id| !(is_on_plane && is_beyond(id)));
         others.next().is_some_and(|id| id != a.own && id != b.own)

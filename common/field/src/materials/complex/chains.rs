@@ -428,7 +428,7 @@ fn merge_points<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, s
         let ends = at.get(&own).map_or(&[][..], Vec::as_slice);
         let curves: Vec<Stratum> =
             ends.iter().filter_map(|&n| left[same.find(n) as usize].as_ref().map(|chain| chain.curve)).collect();
-        // three materials of one region have no curve
+        // the outside and spaces beyond planes, which are one region, meet on no curve
         let ids = first.stratum.materials();
         let others = |without: MaterialId| -> Vec<_> { ids.iter().copied().filter(|&id| id != without).collect() };
         let has_curve = |without: &&MaterialId| indicators.are_separate(&others(**without));

@@ -312,7 +312,7 @@ fn planes_cut_nested_balls_along_sharp_rims() {
     let exact = |spacing: f64| {
         let (grid, analytic) = (grid(spacing), nested(CENTRE));
         let cells = grid.size.map(|n| n - 1);
-        Complex::of_bricks(&Bounded::new(analytic, &bounds, cut), &grid, &[([0; 3], cells)])
+        Complex::of_bricks(&Bounded::new(analytic, &bounds, cut, grid.spacing.length()), &grid, &[([0; 3], cells)])
     };
     let (coarse, fine) = (errors(&exact(1.0)), errors(&exact(0.5)));
     assert!(coarse < 0.03 && fine < coarse / 3.0, "{coarse} {fine}");
