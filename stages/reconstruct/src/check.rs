@@ -188,8 +188,8 @@ impl Checker<'_> {
         name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
     }
 
-    /// Compares the edges of more than two triangles, or of different interfaces, with the segments
-    /// of the junction curves.
+    /// Compares the segments of the junction curves with the edges that belong to more than two
+    /// triangles, or to triangles of different interfaces.
     fn check_curves(&self, report: &mut CheckReport) {
         let Interfaces { between, segments, .. } = self.interfaces;
         report.junctions.segments = segments.len();
@@ -197,7 +197,8 @@ impl Checker<'_> {
         let (mut spurious, mut is_present) = (Vec::new(), vec![false; segments.len()]);
         if self.kinds.len() > 1 || !segments.is_empty() {
             let differ = |own: &[(Segment, u32)]| {
-                own.iter().any(|own_edge| between[own_edge.1 as usize] != between[own[0].1 as usize])
+                let pair = between[own[0].1 as usize];
+                own.iter().any(|(_, t)| between[*t as usize] != pair)
             };
             for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2 || differ(own)) {
                 report.junctions.junction_edges += 1;

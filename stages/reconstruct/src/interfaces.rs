@@ -21,16 +21,17 @@ pub fn segment(a: u32, b: u32) -> Segment {
 pub struct Interfaces {
     /// Vertices in the grid frame, mm, and triangles, counter-clockwise as seen from outside.
     pub mesh: TriangleMesh,
-    /// The materials inside (the higher number) and outside of each triangle. Outside may be a
-    /// space beyond a plane, whose number is higher than those of all materials.
+    /// The materials inside and outside of each triangle. Inside has the higher number, unless
+    /// outside is the space beyond a plane ([`Self::first_beyond`]).
     pub between: Vec<[MaterialId; 2]>,
     /// Segments of junction curves, ascending, each with its curve. A vertex that is in no triangle
     /// has the number `u32::MAX`.
     pub segments: Vec<(Segment, Stratum)>,
     /// Vertices at which strata are merged.
     pub joined: Vec<Joined>,
-    /// Number of the first space beyond a plane, if there are any
-    /// ([`isoparticles_field::materials::Bounded`]). These spaces belong to the outside.
+    /// The lowest number of a space beyond a plane in `between`, if there is one
+    /// ([`isoparticles_field::materials::Bounded`]). It and all higher numbers belong to the region
+    /// of the outside.
     pub first_beyond: Option<MaterialId>,
 }
 

@@ -119,14 +119,14 @@ fn a_curve_collapse_removes_a_triangle_of_each_interface() {
 }
 
 #[test]
-fn a_curve_vertex_with_one_interface_is_fixed() {
+fn curve_vertices_of_two_or_three_interfaces_can_move() {
     for (interfaces, expected) in [(1, Freedom::None), (2, Freedom::Curve), (3, Freedom::Curve)] {
         let (mut mesh, mut sheets, freedom) = fan(&[0.0, 1.0, 2.0, 3.0]);
         mesh.triangles.truncate(6 * interfaces);
         sheets.truncate(6 * interfaces);
         let surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
         assert_eq!(surface.freedom[1], expected, "{interfaces} interfaces");
-        // edges of the curve are not inside an interface
+        // no edge of the curve has both triangles in one interface
         assert!(surface.edge_triangles(0, 1).is_none());
     }
 }

@@ -8,7 +8,7 @@
 use super::prepare::Prepared;
 use super::segments::Segments;
 use crate::around::star;
-use crate::interfaces::{Interfaces, Joined, Segment};
+use crate::interfaces::{Interfaces, Joined, Segment, segment};
 use crate::labelled::{Facet, Labelled};
 use crate::object::DEFAULT_DEVIATION;
 use crate::options::Options;
@@ -53,10 +53,11 @@ impl<'a> Complex<'a> {
         let triangles = facets.iter().map(|f| (f.vertices, self.sheet(f))).collect();
         let (mut interfaces, used) = Interfaces::compact(self.points(), triangles);
         let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
-        interfaces.segments = self.segments.all().map(|(pair, curve)| (pair.map(number), curve)).collect();
+        let renumbered = |[a, b]: Segment| segment(number(a), number(b));
+        interfaces.segments = self.segments.all().map(|(pair, curve)| (renumbered(pair), curve)).collect();
         interfaces.segments.sort_unstable();
         let ids = interfaces.between.iter().flatten().copied();
-        interfaces.first_beyond = ids.filter(|&id| self.indicators.region(id) != id).min();
+        interfaces.first_beyond = ids.filter(|&id| self.indicators.is_beyond(id)).min();
         let joined = self.joined.iter().map(|&v| Joined { vertex: number(v), distance: self.tolerance(v) });
         interfaces.joined = joined.filter(|own| own.vertex != u32::MAX).collect();
         let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();
@@ -146,16 +147,15 @@ impl<'a> Complex<'a> {
         [self.material(facet.tetrahedron), self.material(self.labelled.across(facet))]
     }
 
-    /// Returns the materials inside and outside of a facet. Outside is the space beyond a plane if
-    /// all vertices of the facet lie in this plane.
+    /// Returns the materials inside and outside of a facet. The outside is replaced by the space
+    /// beyond a plane if all vertices of the facet lie in this plane.
     pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
         let [inside, outside] = self.regions_of(facet);
         if outside != MaterialId::OUTSIDE {
             return [inside, outside];
         }
         let [first, others @ ..] = facet.vertices.map(|v| self.strata[v as usize]);
-        let is_beyond = |id: &&MaterialId| self.indicators.region(**id) != **id;
-        let mut beyond = first.materials().iter().filter(is_beyond);
+        let mut beyond = first.materials().iter().filter(|id| self.indicators.is_beyond(**id));
         [inside, beyond.find(|&&id| others.iter().all(|stratum| stratum.has(id))).copied().unwrap_or(outside)]
     }
 
@@ -207,13 +207,20 @@ impl Points<'_> {
     /// vertices. The result is then the one of those that meet there with the minimum indicator at
     /// the centroid, if it is close to the centroid.
     fn material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
+        self.indicators.region(self.nearest_material(delaunay, tetrahedron, centre))
+    }
+
+    /// Returns the material of a tetrahedron, which may be the space beyond a plane.
+    fn nearest_material(&self, delaunay: &Delaunay, tetrahedron: u32, centre: Option<DVec3>) -> MaterialId {
         let vertices = delaunay.vertices(tetrahedron);
-        let region = |id: MaterialId| self.indicators.region(id);
-        let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| region(self.indicators.material_at(p)));
+        let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| self.indicators.material_at(p));
         let [first, others @ ..] = vertices.map(|v| self.strata[v as usize]);
-        let has = |stratum: &Stratum, own: MaterialId| stratum.materials().iter().any(|&id| region(id) == own);
-        let is_at_others = |id: &MaterialId| others.iter().all(|stratum| has(stratum, *id));
-        let common: Vec<MaterialId> = first.materials().iter().map(|&id| region(id)).filter(is_at_others).collect();
+        let is_at_others = |id: &MaterialId| others.iter().all(|stratum| stratum.has(*id));
+        let common: Vec<MaterialId> = first.materials().iter().copied().filter(is_at_others).collect();
+        // four points of one plane span a tetrahedron whose volume is a rounding error
+        if let Some(&beyond) = common.iter().find(|&&id| self.indicators.is_beyond(id)) {
+            return beyond;
+        }
         if common.is_empty() || common.contains(&at_centre) {
             return at_centre;
         }
@@ -225,7 +232,7 @@ impl Points<'_> {
         let least = near.entries().first().map_or(0.0, |(_, value)| *value);
         // deep inside a material, its indicator is minus infinity
         let mut close = near.entries().iter().filter(|(_, value)| *value <= least + 2.0 * reach);
-        close.find(|(id, _)| common.contains(&region(*id))).map_or(at_centre, |(id, _)| region(*id))
+        close.find(|(id, _)| common.contains(id)).map_or(at_centre, |(id, _)| *id)
     }
 }
 

@@ -20,9 +20,9 @@ use rayon::prelude::*;
 /// Maximum distance from a node to the interface that is searched for, in voxels.
 const REACH: f64 = 2.0;
 
-/// Distance from an interface, in voxels, below which a node can belong to either side. Only planes
-/// that cut materials pass this close to nodes. Triangles in such a plane deviate from it by the
-/// rounding error of their corners, which is far smaller.
+/// Distance from an interface, in voxels, below which a node may lie on either side of the mesh.
+/// Planes that cut materials can contain nodes, and triangles in such a plane deviate from it by
+/// rounding errors. In coordinates of up to 1e4 voxels, these are below 1e4 * 2^-52 = 2e-12 voxel.
 const ON_PLANE: f64 = 1e-6;
 
 /// The material of each grid node.
@@ -30,8 +30,8 @@ pub struct Nodes {
     geometry: Geometry,
     /// Material numbers, x fastest.
     material: Vec<u16>,
-    /// Nodes on an interface ([`ON_PLANE`]), ascending.
-    undecided: Vec<usize>,
+    /// Nodes within [`ON_PLANE`] of an interface, ascending.
+    on_plane: Vec<usize>,
 }
 
 /// A triangle between two materials, with corners in the grid frame.
@@ -50,9 +50,9 @@ impl Nodes {
                 (own.0, near.interface_distance() < least)
             })
         };
-        let (material, is_undecided): (Vec<u16>, Vec<bool>) = (0..ny * nz).into_par_iter().flat_map_iter(row).unzip();
-        let undecided = (0..is_undecided.len()).filter(|&node| is_undecided[node]).collect();
-        Self { geometry: geometry.clone(), material, undecided }
+        let (material, is_on_plane): (Vec<u16>, Vec<bool>) = (0..ny * nz).into_par_iter().flat_map_iter(row).unzip();
+        let on_plane = (0..is_on_plane.len()).filter(|&node| is_on_plane[node]).collect();
+        Self { geometry: geometry.clone(), material, on_plane }
     }
 
     /// Returns the grid.
@@ -106,7 +106,7 @@ impl Nodes {
         };
         let rows = (0..self.material.len() / nx.max(1)).into_par_iter();
         let wrong = rows.flat_map_iter(|row| of_row(row).map(move |i| row * nx + i));
-        wrong.filter(|node| self.undecided.binary_search(node).is_err()).collect()
+        wrong.filter(|node| self.on_plane.binary_search(node).is_err()).collect()
     }
 
     /// Returns the nodes, ascending, that lie in tetrahedra of another material. `facets` are all

@@ -159,7 +159,7 @@ impl Complex<'_> {
         let runs = self.runs_round(edge, start);
         let is_on_plane = |&v: &u32| {
             let ids = self.strata[v as usize];
-            ids.materials().iter().any(|&id| self.indicators.region(id) != id)
+            ids.materials().iter().any(|&id| self.indicators.is_beyond(id))
         };
         let is_wrong = match runs.len() {
             0 | 1 => false,
