@@ -4,6 +4,12 @@
 //! third material may be equally close (its indicator equally small), the difference between the
 //! third material and `high` is also stored.
 //!
+//! Where materials end at a plane ([`isoparticles_field::materials::Bounded`]), the half difference
+//! of a material and the space beyond the plane is the distance from the plane, with the opposite
+//! sign. Its spline has this distance at the nodes as coefficients. It is not exact in cells at the
+//! border of the grid, where splines are mirrored; `distfield` adds a margin, so no interface
+//! crosses these cells.
+//!
 //! A particle therefore reads one coefficient per node, as with a single object. Two look-ups find
 //! the coefficients: the entry of the brick, and a record of the eight blocks of coefficients that
 //! the cells of the brick read. The entry and the record apply to the whole brick of 4 x 4 x 4
@@ -31,8 +37,9 @@
 //!   stored in a cell of the mask, the cell lies inside that material.
 //! - Strata: the four materials of each stratum, padded with 65535.
 
+use glam::DVec3;
 use isoparticles_field::materials::{
-    BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_INTERFACE, Stratum,
+    BLOCK, Bound, CELLS, Indicator, Indicators, MaterialId, Materials, ON_INTERFACE, Stratum,
 };
 use rayon::prelude::*;
 
@@ -58,13 +65,14 @@ pub(super) struct Differences {
     pub index: Vec<[u32; 4]>,
 }
 
-/// A pair of materials whose indicators are both stored in a brick.
+/// A pair of materials whose difference is known in a brick: the indicators of both are stored
+/// there, or `high` is the space beyond a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Pair {
     low: u16,
     high: u16,
     brick: u32,
-    /// Indices of the brick among the stored bricks of `low` and of `high`.
+    /// Indices of the brick among the stored bricks of `low` and of `high`. Not used with a plane.
     numbers: [u32; 2],
 }
 
@@ -72,6 +80,16 @@ impl Pair {
     fn new(brick: usize, a: (MaterialId, usize), b: (MaterialId, usize)) -> Self {
         let (low, high) = if a.0 < b.0 { (a, b) } else { (b, a) };
         Self { low: low.0.0, high: high.0.0, brick: brick as u32, numbers: [low.1 as u32, high.1 as u32] }
+    }
+
+    /// Returns the pair of a material and the space beyond a plane.
+    fn at_plane(brick: usize, id: MaterialId, beyond: MaterialId) -> Self {
+        Self { low: id.0, high: beyond.0, brick: brick as u32, numbers: [0; 2] }
+    }
+
+    /// Returns the plane, if there is one.
+    fn plane<'m>(&self, materials: &'m Materials) -> Option<&'m Bound> {
+        materials.bounds().get(usize::from(self.high).checked_sub(materials.indicators().len())?)
     }
 
     fn indicators<'m>(&self, materials: &'m Materials) -> [&'m Indicator; 2] {
@@ -159,31 +177,99 @@ impl Differences {
     }
 }
 
-/// Returns the interfaces for which both indicators are stored in a brick. The interface closest to
-/// the centre of the brick comes first.
+/// The planes at which the materials of a brick end.
+struct Planes {
+    /// The spaces beyond the planes that cross the brick.
+    crossing: Vec<MaterialId>,
+    /// Whether the brick lies beyond a plane.
+    is_beyond: bool,
+}
+
+impl Planes {
+    fn of(materials: &Materials, brick: usize) -> Self {
+        let half = 0.5 * CELLS as f64 * materials.geometry().spacing;
+        let centre = node_position(materials, brick, [0.5 * CELLS as f64; 3]);
+        let first = materials.indicators().len() as u16;
+        let reach = |bound: &Bound| bound.normal.abs().dot(half);
+        let is_crossed = |(_, bound): &(u16, &Bound)| bound.distance(centre).abs() <= reach(bound);
+        Self {
+            crossing: (first..).zip(materials.bounds()).filter(is_crossed).map(|(id, _)| MaterialId(id)).collect(),
+            is_beyond: materials.bounds().iter().any(|bound| bound.distance(centre) > reach(bound)),
+        }
+    }
+
+    /// Returns the checks that the spaces beyond the planes, except that of the interface itself,
+    /// are not closer than a material.
+    fn checks(&self, brick: usize, id: MaterialId, except: MaterialId) -> impl Iterator<Item = Check> {
+        let others = self.crossing.iter().filter(move |&&beyond| beyond != except);
+        others.map(move |&beyond| Check { pair: Pair::at_plane(brick, id, beyond), is_negative: false, near: u64::MAX })
+    }
+}
+
+/// Returns the position (grid frame, mm) at a distance in nodes from the first node of a brick.
+fn node_position(materials: &Materials, brick: usize, nodes: [f64; 3]) -> DVec3 {
+    let [bx, by, _] = isoparticles_field::materials::bricks_along(materials.geometry().size);
+    let at = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| (n * CELLS) as f64);
+    (DVec3::from_array(at) + DVec3::from_array(nodes)) * materials.geometry().spacing
+}
+
+/// Returns the interfaces of materials and the spaces beyond planes that cross a brick.
+fn entries_at_planes(materials: &Materials, interfaces: &[Stratum], planes: &Planes, brick: usize) -> Vec<Entry> {
+    let known = materials.known_in(brick);
+    let fill = materials.fill()[brick];
+    let is_filled = fill != NO_MATERIAL;
+    let filling =
+        is_filled.then_some((MaterialId(fill), usize::MAX)).filter(|own| known.clone().all(|(id, _)| id != own.0));
+    let mut entries = Vec::new();
+    for (&beyond, (id, number)) in
+        planes.crossing.iter().flat_map(|beyond| known.clone().chain(filling).map(move |own| (beyond, own)))
+    {
+        let Ok(interface) = interfaces.binary_search(&Stratum::interface(id, beyond)) else { continue };
+        let is_filled_by_other = is_filled && fill != id.0;
+        let others = known.clone().filter(|other| other.0 != id && number != usize::MAX);
+        let check = |other: (MaterialId, usize)| {
+            let pair = Pair::new(brick, other, (id, number));
+            Check { pair, is_negative: other.0 < id, near: known_cells(materials, &pair) }
+        };
+        let checks = (!is_filled_by_other && !planes.is_beyond)
+            .then(|| others.map(check).chain(planes.checks(brick, id, beyond)).collect());
+        entries.push(Entry { interface: interface as u32, pair: Pair::at_plane(brick, id, beyond), checks });
+    }
+    entries
+}
+
+/// Returns the interfaces whose difference is known in a brick. The interface closest to the centre
+/// of the brick comes first.
 fn entries_of(materials: &Materials, interfaces: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
-    let mut entries = Vec::new();
+    let planes = Planes::of(materials, brick);
+    let mut entries = entries_at_planes(materials, interfaces, &planes, brick);
     for (k, low) in known.clone().enumerate() {
         for high in known.clone().skip(k + 1) {
             let Ok(interface) = interfaces.binary_search(&Stratum::interface(low.0, high.0)) else { continue };
             let pair = Pair::new(brick, low, high);
             let fill = materials.fill()[brick];
             let is_filled_by_other = fill != NO_MATERIAL && fill != low.0.0 && fill != high.0.0;
-            let checks = (!is_filled_by_other).then(|| {
+            let checks = (!is_filled_by_other && !planes.is_beyond).then(|| {
                 let thirds = known.clone().filter(|third| third.0 != low.0 && third.0 != high.0);
                 let check = |third: (MaterialId, usize)| Check {
                     pair: Pair::new(brick, third, high),
                     is_negative: third.0 < high.0,
                     near: near_cells(materials, &pair, third),
                 };
-                thirds.map(check).filter(|check| check.near != 0).collect()
+                let at_planes = planes.checks(brick, high.0, MaterialId(NO_MATERIAL));
+                thirds.map(check).filter(|check| check.near != 0).chain(at_planes).collect()
             });
             entries.push(Entry { interface: interface as u32, pair, checks });
         }
     }
-    // sort key: the larger of the two indicators at the centre of the brick
+    // sort key: the larger of the two indicators at the centre of the brick, or the distance of the
+    // centre from the plane
+    let centre = node_position(materials, brick, [0.5 * CELLS as f64; 3]);
     let farther = |entry: &Entry| {
+        if let Some(plane) = entry.pair.plane(materials) {
+            return plane.distance(centre).abs() as f32;
+        }
         let [low, high] = entry.pair.indicators(materials);
         let [a, b] = entry.pair.numbers.map(|number| number as usize);
         coefficient(low, a, [NODES_PER_AXIS / 2; 3]).max(coefficient(high, b, [NODES_PER_AXIS / 2; 3]))
@@ -244,16 +330,20 @@ fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64
     })
 }
 
-/// Returns one bit for each cell of a brick, set if the indicators of both materials are stored
-/// there.
+/// Returns one bit for each cell of a brick, set if the difference is known there.
 fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
+    if pair.plane(materials).is_some() {
+        return u64::MAX;
+    }
     pair.indicators(materials)
         .iter()
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// Blocks of the difference of one pair of materials: for each block, the blocks of the two
-/// indicators from which it is computed, and for each brick, the blocks that its cells read.
+/// Blocks of the difference of one pair of materials: for each block, the two numbers from which it
+/// is computed, and for each brick, the blocks that its cells read. The numbers are the blocks of
+/// the two indicators or, with a plane, a brick and the index of one of the eight blocks that its
+/// cells read.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
 /// Returns the coefficients of the differences in blocks, and the eight blocks that the cells of
@@ -263,6 +353,11 @@ fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8
     let parts: Vec<Part> = runs
         .par_iter()
         .map(|run| {
+            if run[0].plane(materials).is_some() {
+                let sources = run.iter().flat_map(|pair| (0..8).map(|block| [pair.brick, block])).collect();
+                let blocks = (0..run.len() as u32).map(|n| std::array::from_fn(|c| 8 * n + c as u32)).collect();
+                return (sources, blocks);
+            }
             let [low, high] = run[0].indicators(materials);
             let mut numbers = vec![u32::MAX; high.coefficients().len() / BLOCK];
             let mut sources = Vec::new();
@@ -288,11 +383,21 @@ fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8
     for (run, (own, numbers)) in runs.iter().zip(parts) {
         let first = sources.len() as u32;
         blocks.extend(numbers.iter().map(|eight| eight.map(|number| first + number)));
-        let indicators = run[0].indicators(materials);
-        sources.extend(own.into_iter().map(|own| (indicators, own)));
+        sources.extend(own.into_iter().map(|own| (run[0], own)));
     }
     let mut coefficients = vec![0.0; BLOCK * sources.len()];
-    coefficients.par_chunks_mut(BLOCK).zip(&sources).for_each(|(to, (indicators, numbers))| {
+    coefficients.par_chunks_mut(BLOCK).zip(&sources).for_each(|(to, (pair, numbers))| {
+        if let Some(plane) = pair.plane(materials) {
+            let [brick, block] = numbers.map(|number| number as usize);
+            for (n, to) in to.iter_mut().enumerate() {
+                // along each axis, the two blocks of a brick contain the nodes from -1 to 6
+                let within = [n % CELLS, n / CELLS % CELLS, n / (CELLS * CELLS)];
+                let node = std::array::from_fn(|a| (within[a] + CELLS * (block >> a & 1)) as f64 - 1.0);
+                *to = -plane.distance(node_position(materials, brick, node)) as f32;
+            }
+            return;
+        }
+        let indicators = pair.indicators(materials);
         let [low, high] =
             [0, 1].map(|side| &indicators[side].coefficients()[BLOCK * numbers[side] as usize..][..BLOCK]);
         for ((to, low), high) in to.iter_mut().zip(low).zip(high) {

@@ -101,22 +101,12 @@ impl<'a> GpuEngine<'a> {
 
     /// Creates an engine for many materials. Uploads the differences of the indicators, h, and the
     /// particles with their strata. Held particles must come first.
-    ///
-    /// # Errors
-    /// If the materials end at planes, and if the device has too little memory.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
         (set, strata): (&ParticleSet, &[Stratum]),
         settling: &Parameters,
     ) -> Result<Self> {
-        if !materials.bounds().is_empty() {
-            return Err(Error::gpu(
-                "materials that end at planes (distfield --border flat) run on the CPU only",
-                "the GPU has no indicators of the space beyond planes",
-                "set BACKEND=cpu (--backend cpu), or BORDER=cap (--border cap)",
-            ));
-        }
         let levels = BinLevels::everywhere(sizing, settling.binning == Binning::Graded);
         let carried = Carried::new(set, strata)?;
         let surface = DeviceSurface::materials(materials, &carried);
