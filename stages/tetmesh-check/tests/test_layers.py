@@ -32,7 +32,7 @@ from tetmesh_check.parts.layers import read_layers
 from tetmesh_check.parts.measure import describe_parts
 from tetmesh_check.parts.model import Parts
 from tetmesh_check.parts.tags import read_tag
-from tetmesh_check.prisms import SIDES, jacobians
+from tetmesh_check.prisms import FACES, jacobians
 from tetmesh_check.quality import OUTWARD_FACES, Points, signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import Surface
 from tetmesh_check.topology import tetrahedron_boundary
@@ -113,7 +113,7 @@ def assert_sound(mesh: MarkedMesh, made: Made) -> None:
     assert volume_of(mesh) == pytest.approx(volume_of(before), rel=1e-12)
     np.testing.assert_array_equal(mesh.faces[wall], before.faces[wall])
     np.testing.assert_array_equal(mesh.points[mesh.faces[wall]], before.points[before.faces[wall]])
-    faces = sorted_faces(mesh.tetrahedra, OUTWARD_FACES) + sorted_faces(mesh.prisms, SIDES)
+    faces = sorted_faces(mesh.tetrahedra, OUTWARD_FACES) + sorted_faces(mesh.prisms, FACES)
     distinct, counts = np.unique([(*face, -1)[:4] for face in faces], axis=0, return_counts=True)
     assert counts.max() == 2
     outer = [own.nodes.tolist() for own in mesh.faces_of(np.flatnonzero(mesh.outermost))]
@@ -141,7 +141,7 @@ def test_layers_on_two_plates_have_exact_heights_and_volumes() -> None:
     assert all(check.passed for check in checks.values())
 
 
-def test_the_rim_has_outward_quadrilaterals_in_the_planes_of_the_sides() -> None:
+def test_the_rim_has_outward_quadrilaterals_in_its_planes() -> None:
     made = one_object(*block((6, 6, 4)), "top+bottom=3,0.1,1.5", *ENDS)
     mesh = layered(made)[0]
     assert len(mesh.quads) == 2 * 3 * 24
@@ -315,7 +315,7 @@ def test_a_wall_turns_around_a_corner_between_materials() -> None:
     made = materials("cartilage:cartilage/bone+cartilage/muscle=2,0.1,1", material=with_muscle)
     mesh, _, results, _ = layered(made)
     assert_sound(mesh, made)
-    # 4 mm of one wall and 2 mm of the other, which meet at a right angle
+    # the walls are 4 mm and 2 mm wide and meet at a right angle
     assert results["volume_mm3"] == pytest.approx(6.0 * (4 * 2 - 3.8 * 1.8), rel=1e-12)
     assert results["first_height_mm"]["max"] == pytest.approx(0.1, rel=1e-12)
 
@@ -372,14 +372,14 @@ def test_layers_that_fit_nowhere_are_refused_with_their_place() -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--layers", "bone:bone/cartilage=2,0,1"], "the first height (mm) and the ratio must be above 0"),
-        (["--layers", "bone:bone/cartilage=2,0.1,-1"], "the first height (mm) and the ratio must be above 0"),
-        (["--layers", "bone:bone/cartilage=2,0.1,0"], "the first height (mm) and the ratio must be above 0"),
+        (["--layers", "bone:bone/cartilage=2,0,1"], "the ratio must be above 0 and finite"),
+        (["--layers", "bone:bone/cartilage=2,0.1,-1"], "the ratio must be above 0 and finite"),
+        (["--layers", "bone:bone/cartilage=2,0.1,0"], "the ratio must be above 0 and finite"),
         (["--layers", "bone:bone/cartilage=0,0.1,1"], "must be a whole number from 1 to 50"),
         (["--layers", "bone:bone/cartilage=2.5,0.1,1"], "must be a whole number from 1 to 50"),
-        (["--layers", "bone:bone/cartilage=2,0.1"], "is not WALL=COUNT,FIRST,RATIO"),
-        (["--layers", "bone:bone/cartilage=2,inf,1"], "the first height (mm) and the ratio must be above 0"),
-        (["--layers", ":bone/cartilage=2,0.1,1"], "is not WALL=COUNT,FIRST,RATIO"),
+        (["--layers", "bone:bone/cartilage=2,0.1"], "is not WALL=N,MM,RATIO"),
+        (["--layers", "bone:bone/cartilage=2,inf,1"], "the ratio must be above 0 and finite"),
+        (["--layers", ":bone/cartilage=2,0.1,1"], "is not WALL=N,MM,RATIO"),
         (["--layers", "bone:bone/=2,0.1,1"], "ends where a name is expected"),
         (["--layers", "skin:bone/cartilage=2,0.1,1"], "there is no material 'skin'"),
         (["--layers", "bone:wall=2,0.1,1"], "'wall' is not the name of a part"),
@@ -468,7 +468,7 @@ def test_a_bent_pipe_has_five_layers_and_three_flat_caps(tmp_path: Path, run: Ru
     skin = pv.read(tmp_path / "p.boundary.vtp")
     wall = skin.extract_cells(skin.cell_data["wall"] == 1).extract_surface(algorithm="dataset_surface")
     away = np.abs(pv.PolyData(points[first]).compute_implicit_distance(wall)["implicit_distance"])
-    # at the edge where the branch begins, nodes are as far from it as both of its sides require
+    # where the branch begins, a node cannot have the exact distance from all adjacent triangles
     assert away.min() > 0.94 * 0.05
     assert (np.abs(away / 0.05 - 1.0) < 0.02).mean() > 0.9
     names = {name: int(mark) for mark, name in json.loads(text_of(skin, "parts") or "").items()}

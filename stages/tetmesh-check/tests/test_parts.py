@@ -50,7 +50,7 @@ def two_halves(names: tuple[str, str] = ("blood", "wall")) -> Surface:
 
 
 def legs() -> Surface:
-    """A comb whose legs of the widths 1 and 2 end at x = 0."""
+    """Return a comb with two legs, 1 and 2 mm wide, that end at x = 0."""
     made = cells_of_a_block((3, 5, 2), lambda x, y, z: np.where((x > 1) | (y < 1) | (y > 3), 1, 0), ("comb",))  # noqa: ARG005
     return surface_of(made)
 
@@ -127,7 +127,7 @@ def test_separate_caps_of_one_side_are_numbered_by_area() -> None:
 
 def test_planes_make_caps_of_exact_area_with_their_names() -> None:
     surface = ended(two_halves(), "inlet", "x0", "below")
-    # the planes count, not the faces of the volume
+    # caps come from the planes, not from the faces of the volume
     for border in (None, CUT):
         parts = find_parts(surface, border)
         assert areas_of(surface, parts) == pytest.approx({
@@ -151,7 +151,7 @@ def test_separate_caps_of_one_plane_are_numbered_by_area() -> None:
 
 
 def test_oblique_triangles_of_a_plane_belong_to_its_cap() -> None:
-    # the number decides, not the angle and position that find caps without planes
+    # with planes, the number of a triangle decides, not its angle and position
     surface = ended(two_halves(), "inlet", "x0")
     turned = replace(surface, points=surface.points @ TURN)
     np.testing.assert_array_equal(find_parts(turned, CUT).marks, find_parts(surface).marks)

@@ -20,7 +20,7 @@ from test_layers import layered, materials
 from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.vtk import write_volume
-from tetmesh_check.prisms import SIDES, jacobians, scaled_jacobian
+from tetmesh_check.prisms import FACES, jacobians, scaled_jacobian
 from tetmesh_check.quality import tetrahedron_quality
 
 
@@ -107,7 +107,7 @@ def test_abaqus_surfaces_have_faces_of_prisms(mesh: MarkedMesh, tmp_path: Path) 
         assert sorted(found) == faces_of(mesh, own.name)
 
 
-def test_febio_has_domains_of_prisms_with_the_material_of_the_region(mesh: MarkedMesh, tmp_path: Path) -> None:
+def test_febio_has_prism_domains_with_the_material_of_the_region(mesh: MarkedMesh, tmp_path: Path) -> None:
     root = ElementTree.parse(written(mesh, tmp_path, "feb")).getroot()
     found = {group.get("name"): group for group in root.iterfind("Mesh/Elements")}
     assert {name: group.get("type") for name, group in found.items()} == {
@@ -164,7 +164,7 @@ def test_pyvista_reads_the_vtk_formats(mesh: MarkedMesh, tmp_path: Path) -> None
         faces = [
             [wedge.GetFace(k).GetPointId(i) for i in range(wedge.GetFace(k).GetNumberOfPoints())] for k in range(5)
         ]
-        assert sorted(map(sorted, faces)) == sorted(sorted(mesh.prisms[0, list(side)].tolist()) for side in SIDES)
+        assert sorted(map(sorted, faces)) == sorted(sorted(mesh.prisms[0, list(side)].tolist()) for side in FACES)
     stored = pv.read(tmp_path / "b.volume.vtu").cell_data["scaled_jacobian"]
     np.testing.assert_allclose(stored, [*quality.scaled_jacobian, *scaled_jacobian(mesh.points, mesh.prisms)])
     boundary = pv.read(written(mesh, tmp_path, "vtp", "boundary.vtp"))

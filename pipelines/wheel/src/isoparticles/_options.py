@@ -47,10 +47,10 @@ class DistfieldOptions(TypedDict, total=False):
     #: Kind of volume. Default: auto.
     kind: Literal["auto", "scan", "labels"]
     #: Treatment of the object at the border of the volume: cap closes the object half a voxel
-    #: beyond the outermost voxel centres, with edges rounded by half a voxel. Default: cap.
+    #: beyond the outermost voxel centres, with rims rounded by half a voxel. Default: cap.
     border: Literal["cap", "flat", "open"]
-    #: Labels: cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the
-    #: output), and remove the side to which the normal NX,NY,NZ points.
+    #: Cut the object, or all materials, by a plane through X,Y,Z (mm, world frame of the output),
+    #: and remove the side to which the normal NX,NY,NZ points.
     cut: str | Iterable[str]
     #: Extent of the grid: object is the bounding box of the object, enlarged by the voxels on which
     #: F depends near the surface. Default: object.

@@ -175,7 +175,7 @@ class DistanceField(_Field):
     def materials(self) -> list[str]:
         """The names of the materials by number, starting with the outside; empty for one object.
 
-        The names of the planes at which the materials end follow. The object is ``object`` then.
+        The names of planes follow if there are any; one object is then the material ``object``.
         """
         return self._data.materials
 
@@ -260,8 +260,9 @@ class Surface(Result):
     def materials(self) -> list[str]:
         """The names of the materials, starting with the outside; empty for one object.
 
-        An object that ends at planes is ``object``. ``cell_arrays["cap"]`` contains the number of
-        the plane of each triangle, from 1, and ``meta["caps"]`` the names of the planes.
+        An object that ends at planes is the material ``object``. ``cell_arrays["cap"]`` contains
+        the number of the plane of each triangle, from 1 (0 elsewhere), and ``meta["caps"]`` the
+        names of the planes.
         """
         return self._data.materials
 

@@ -143,22 +143,22 @@ class Arguments:
             return
         for option, is_given, why in (
             ("--order 2", self.order == 2, "there are no quadratic prisms"),
-            ("--split or --gap", self.splits, "layers and gaps would move the same nodes"),
+            ("--split or --gap", self.splits, "both options duplicate the nodes of interfaces"),
             ("--density", self.density, "only tetrahedra get a density"),
             ("--fibres", self.fibres, "only tetrahedra get fibres"),
-            ("--for fenicsx", self.profile == "fenicsx", "dolfinx reads one kind of element"),
+            ("--for fenicsx", self.profile == "fenicsx", "dolfinx reads only meshes with one kind of element"),
         ):
             if is_given:
                 raise StageError(f"{self.layers[0].told} with {option}", why, "omit one of the two options")
         self._refuse_formats(PRISMLESS_FORMATS, "prisms", self.layers[0].told, "--layers")
 
     def _refuse_formats(self, lacking: tuple[str, ...], elements: str, given: str, option: str) -> None:
-        """Refuse exports in formats without these elements, which ``option`` makes."""
+        """Refuse exports in formats that lack the elements that ``option`` adds."""
         if found := [kind for kind in self.exports if kind in lacking]:
             export = f"--for {self.profile}" if self.profile else f"--export {','.join(found)}"
             raise StageError(
                 f"{export} with {given}",
-                f"{', '.join(found)} files have no {elements}",
+                f"{', '.join(found)} files are not written with {elements}",
                 f"omit {export if self.profile else ', '.join(found)}, or omit {option}; {elements} are supported by "
                 f"{', '.join(kind for kind in FORMATS if kind not in lacking)}",
             )

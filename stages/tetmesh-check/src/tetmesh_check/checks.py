@@ -51,11 +51,14 @@ _REQUIRED = {
     "surface_distance": "the maximum distance from the surface to the boundary of the tetrahedra is {told}",
     "quadratic_jacobian": "{value} quadratic tetrahedra may have a Jacobian that is not positive everywhere",
     "gap_width": "{gap}: the distance between the sides is {told}, {off} % off (limit {limit:g} %)",
-    "prism_jacobian": "{value} of {total} prisms have a Jacobian that is not positive everywhere",
-    "layer_faces": "{value} faces at the layers do not belong to two elements, or to one and the boundary",
+    "prism_jacobian": "{value} of {total} prisms may have a Jacobian that is not positive everywhere",
+    "layer_faces": "{value} faces at the layers belong neither to two elements nor to one element and the boundary",
     "layer_caps": "nodes beside the layers are up to {told} mm off the planes of their caps",
     "layer_volume": "the layers change the volume by {told} (limit {limit:g} %)",
-    "layer_thickness": "{value} of {total} wall nodes have layers thinner than {least:g} % (places: layers in the report)",
+    "layer_thickness": (
+        "{value} of {total} wall nodes have layers thinner than {least:g} % of the requested thickness "
+        "(places: layers in the report)"
+    ),
     "current_conserved": (
         "the currents into and out of a material differ by at most {value:.2g} of the maximum current (limit {limit:g})"
     ),
@@ -66,7 +69,9 @@ _DOUBTS = {
     "boundary_manifold": "{value} edges and vertices of the boundary are not manifold{but}",
     "euler_characteristic": "the Euler characteristic of the boundary is {value}, that of the surface {limit}{but}",
     "surface_volume": "surface against {base}: the volume changes by {told} (limit {limit:g} %)",
-    "first_height": "the first heights of full layers are {told} mm, up to {off} % off (limit {limit:g} %)",
+    "first_height": (
+        "the first heights of full layers are {told} mm, up to {off} % off the requested height (limit {limit:g} %)"
+    ),
     "nodes_on_surface": (
         "{value} of {surface_nodes} mid-edge nodes of the surface do not lie on {zero}: {drawn_back} were moved back "
         "so that no element folds, {not_reached} could not be moved onto it"

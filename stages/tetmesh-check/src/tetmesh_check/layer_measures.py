@@ -11,15 +11,15 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.layers import MIN_SHARE, Layered
 from tetmesh_check.numerals import plain
 from tetmesh_check.parts.model import Wall
-from tetmesh_check.prisms import SIDES, jacobians, scaled_jacobian
+from tetmesh_check.prisms import FACES, jacobians, scaled_jacobian
 from tetmesh_check.push import normals_of
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Values, summarize
 
 TOLERANCE = 10.0
-"""Maximum difference of a first height from the requested one, percent; a warning above it. No
-vector has the same component along four different normals: on the bent pipe of ``test_layers.py``
-with edges of 1 mm, 98 % of the heights are within 1.5 %, and the others, where the branch begins,
-within 6 %."""
+"""Maximum difference of a first height from the requested one, percent; a warning above it. At a
+node with four or more normals, a vector can meet the heights only approximately: on the bent pipe
+of ``test_layers.py`` with edges of 1 mm, 98 % of the heights are within 1.5 %, and the others,
+where the branch begins, within 6 %."""
 _OFF_PLANE = 1e-6
 """Maximum distance of a node from the plane of its cap, mm: far above rounding errors, and far
 below any edge."""
@@ -32,9 +32,9 @@ def loose_faces(mesh: MarkedMesh) -> int:
     tetrahedra = mesh.tetrahedra[is_near[mesh.tetrahedra].sum(axis=1) >= 3]
     outer = mesh.outermost
     groups = (
-        [*(tetrahedra[:, face] for face in OUTWARD_FACES), *(mesh.prisms[:, side] for side in SIDES[:2]),
+        [*(tetrahedra[:, face] for face in OUTWARD_FACES), *(mesh.prisms[:, side] for side in FACES[:2]),
          mesh.faces[outer[: len(mesh.faces)]]],
-        [*(mesh.prisms[:, side] for side in SIDES[2:]), mesh.quads[outer[len(mesh.faces) :]]],
+        [*(mesh.prisms[:, side] for side in FACES[2:]), mesh.quads[outer[len(mesh.faces) :]]],
     )  # fmt: skip
     loose = 0
     for group in groups:
@@ -45,7 +45,7 @@ def loose_faces(mesh: MarkedMesh) -> int:
 
 
 def _lowest(nodes: Labels, shares: Values, triangles: Cells) -> Labels:
-    """Return the local minima of the shares below 1, ascending; of equal neighbours, the first."""
+    """Return the indices of local minima of the shares below 1, by share; of equals, the first."""
     edges = np.searchsorted(nodes, triangles[:, [0, 1, 1, 2, 2, 0]]).reshape(-1, 2)
     rank = np.empty(len(nodes), dtype=np.int64)
     rank[np.argsort(shares, kind="stable")] = np.arange(len(nodes))

@@ -1,10 +1,10 @@
 """Prism layers on walls, conforming to the tetrahedra inside.
 
-The tetrahedra of the material leave the nodes of the wall, which stay, for copies. A copy moves by
-the vector whose component along the normal of each adjacent wall triangle is the thickness of all
-layers, into the material (least squares), in the planes of the caps at the rim. The nodes nearby
-follow. Prisms fill the space between. Where this makes a tetrahedron or a prism poor, the layers
-get thinner, until all fit.
+The nodes of the wall stay, and the tetrahedra of the material get copies of them. A copy moves into
+the material by the vector whose component along the normal of each adjacent wall triangle is the
+thickness of all layers (least squares). At the rim, it stays in the planes of the caps. The nodes
+nearby follow, and prisms fill the space between the wall and the copies. Where this makes a
+tetrahedron or a prism poor, the layers get thinner, until all fit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.materials import NOBODY, NOTHING
 from tetmesh_check.parts.model import Parts, Wall
 from tetmesh_check.prisms import jacobians
-from tetmesh_check.push import LAYERS, NOISE, Followers, normal_system, normals_of, solve_in_turn
+from tetmesh_check.push import FOLLOWER_RINGS, NOISE, Followers, normal_system, normals_of, solve_in_turn
 from tetmesh_check.quality import (
     Cells,
     Labels,
@@ -39,17 +39,17 @@ MIN_SHARE = 0.1
 """Minimum thickness of layers, relative to the requested one: the check fails below it. Results of
 flow near the wall depend on the first height, which is then an order of magnitude off."""
 _FLOOR = 0.01
-"""Share at which thinning ends. A mesh that does not fit then has a fault beside the wall, because
-its tetrahedra fitted without layers."""
+"""Share at which thinning ends. Layers of 1 % of the thickness hardly change the tetrahedra, which
+fitted without layers. An element that is still poor has another cause."""
 _STEP = 0.8
-"""Factor of the share where layers do not fit. The thickness found is then at least 0.8 of the
-maximum; from 1 to :data:`_FLOOR` takes 21 steps."""
+"""Factor by which the share is reduced where layers do not fit. The share found is then at least
+0.8 of the maximum. From 1 to :data:`_FLOOR`, there are ln(0.01) / ln(0.8) = 21 steps."""
 _SLOPE = 0.25
 """Maximum slope of the inner side of layers that get thinner, against the wall: the angles of their
 prisms differ by at most arctan(0.25) = 14 degrees from those of full layers."""
 _FLAT = 1e-9
-"""Maximum difference from 1 of the length of the mean normal of a flat part: normals within 4e-5,
-as coordinates in single precision leave them."""
+"""Maximum difference from 1 of the length of the mean normal of a flat part. Its normals then
+differ by about sqrt(2e-9) = 4.5e-5 from the mean, as with coordinates in single precision."""
 
 _Mask = NDArray[np.bool_]
 
@@ -66,6 +66,7 @@ class _Shell(NamedTuple):
     is_flat: _Mask
     """Whether each triangle belongs to a flat part."""
     is_wall: _Mask
+    """Whether each triangle belongs to the wall."""
 
 
 class Layered(NamedTuple):
@@ -84,7 +85,10 @@ class Layered(NamedTuple):
 def _shell(
     points: Points, triangles: Cells, marks: Labels, sides: tuple[_Mask, _Mask], wall: Wall, caps: Set[int]
 ) -> _Shell:
-    """Return the boundary of the material, which lies behind and in front of some triangles."""
+    """Return the boundary of the material of a wall.
+
+    ``sides`` tells whether the material lies behind each triangle, and whether in front of it.
+    """
     behind, front = sides
     faces = np.flatnonzero(behind | front)
     own, parts = triangles[faces], marks[faces]
@@ -101,9 +105,9 @@ def _shell(
 
 
 def _vectors(points: Points, shell: _Shell) -> tuple[Labels, Points, Values]:
-    """Return the nodes of the wall, and how they move for a thickness of 1.
+    """Return the nodes of the wall, and their movement for a thickness of 1 mm.
 
-    The third array is the height at the corners of each triangle of the wall, shape ``(m, 3)``.
+    The third array is the height (mm) at the corners of each wall triangle, shape ``(m, 3)``.
     """
     wall, rest = shell.triangles[shell.is_wall], shell.triangles[~shell.is_wall]
     nodes = np.unique(wall)
@@ -133,7 +137,7 @@ def refuse_layers(parts: Parts, surface: Surface) -> None:
             (np.intersect1d(nodes, inner), "the wall ends inside the mesh", "layers can end only on the outer boundary",
              f"add the other interfaces of {name} to the wall"),
             (np.intersect1d(nodes, taken.get(wall.material, [])), "it touches another wall with layers",
-             "layers of two kinds do not fit together", "give one --layers for both walls"),
+             "layers of two options do not share their rim", "join both walls by + in one --layers"),
             (low, "the layers have no direction", "the wall folds there, or meets the other boundary without an edge",
              "end the wall at the rim of a cap, or smooth the surface (a larger SCALE or SIZE)"),
         ):  # fmt: skip
@@ -147,7 +151,7 @@ def refuse_layers(parts: Parts, surface: Surface) -> None:
         if (thickness := float(wall.layers.depths[-1])) >= widest:
             raise StageError(
                 f"{told}: {wall.layers.count} layers are {thickness:.4g} mm thick, and {name} has no room for them",
-                f"a convex body of its volume and area contains no ball of a radius above {widest:.4g} mm",
+                f"a convex body of its volume V and area A has an inradius of at most 3 V / A = {widest:.4g} mm",
                 "use fewer or thinner layers",
             )
 
@@ -189,7 +193,7 @@ def _with_copies(mesh: MarkedMesh, shell: _Shell, wall: Wall, nodes: Labels) -> 
 
 
 def _thinner(shares: Values, hit: _Mask, edges: Cells, rises: Values) -> Values:
-    """Reduce the shares of some nodes, and those around them that would rise too steeply."""
+    """Reduce the shares of the ``hit`` nodes, and limit the rise of shares along each edge."""
     shares = np.where(hit, _STEP * shares, shares)
     while True:
         lower = shares.copy()
@@ -201,13 +205,14 @@ def _thinner(shares: Values, hit: _Mask, edges: Cells, rises: Values) -> Values:
 
 
 def _hit(poor: _Mask, elements: Cells, inner: Labels, count: int) -> _Mask:
-    """Return which of the innermost nodes are nearest to poor tetrahedra, counted in elements.
+    """Return which nodes of the inner side are nearest to poor tetrahedra, counted in elements.
 
-    A poor tetrahedron has a node that followed, so it is at most :data:`.LAYERS` elements away.
+    A poor tetrahedron has a node that followed, so it is at most
+    :data:`.FOLLOWER_RINGS` elements away.
     """
     reached = np.zeros(count, dtype=bool)
     reached[elements[poor]] = True
-    for _ in range(LAYERS):
+    for _ in range(FOLLOWER_RINGS):
         if not reached[inner].any():
             reached[elements[reached[elements].any(axis=1)]] = True
     return reached[inner]
@@ -249,8 +254,8 @@ def _fit(
             raise StageError(
                 f"{wall.layers.told}: no layers fit at ({', '.join(f'{x:.6g}' for x in broken)}) mm, not even of "
                 f"{100.0 * _FLOOR:g} % of their thickness",
-                "an element there would be inverted, or miss a limit of shape",
-                "smooth the surface there, or lower the limits (--min-dihedral, --min-scaled-jacobian)",
+                "a tetrahedron or prism there would be inverted, or below a shape limit",
+                "smooth the surface (a larger SCALE or SIZE), or lower --min-dihedral or --min-scaled-jacobian",
             )
         hit = _hit(poor, mesh.tetrahedra, inner, count)
         hit[local[folded]] = True
@@ -258,7 +263,11 @@ def _fit(
 
 
 def _rim(shell: _Shell, count: int) -> tuple[Labels, Labels, Cells]:
-    """Return the triangle of the wall and the other one at each edge of the rim, and the edge."""
+    """Return the triangles beside each edge of the rim, and its nodes.
+
+    The first array has indices of triangles of the wall, among these. The second one has indices of
+    the other triangles, in the shell.
+    """
     wall, rest = shell.triangles[shell.is_wall], shell.triangles[~shell.is_wall]
     ours, theirs = (corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2) for corners in (wall, rest))
     # two outward triangles have opposite directions at their common edge
@@ -268,10 +277,10 @@ def _rim(shell: _Shell, count: int) -> tuple[Labels, Labels, Cells]:
 
 
 def _stacked(mesh: MarkedMesh, copies: MarkedMesh, shell: _Shell, wall: Wall, nodes: Labels) -> MarkedMesh:
-    """Return the mesh with prisms between the wall and the nodes of the layers, in their places.
+    """Return ``copies`` with prisms between the wall and the copied nodes.
 
-    ``mesh`` has no copies yet. The triangles of the wall belong to the first prisms then, and each
-    edge of the rim has a quadrilateral for each layer.
+    ``mesh`` is the mesh without the copies. The first prisms own the triangles of the wall. Each
+    edge of the rim gets a quadrilateral for each layer.
     """
     levels = np.vstack([nodes, np.arange(len(mesh.points), len(copies.points)).reshape(-1, len(nodes))])
     local = np.searchsorted(nodes, shell.triangles[shell.is_wall])
@@ -322,7 +331,7 @@ def add_layers(mesh: MarkedMesh, wall: Wall, before: TetrahedronQuality, limits:
         raise StageError(
             f"{wall.layers.told}: the tetrahedralizer lost triangles of the wall",
             "the layers would have holes; nothing was written",
-            "see its log, or try another --tet-size-factor",
+            "see NAME.tetrahedra.log, or use another --tet-size-factor",
         )
     nodes, vectors, _ = _vectors(mesh.points, shell)
     copies = _with_copies(mesh, shell, wall, nodes)

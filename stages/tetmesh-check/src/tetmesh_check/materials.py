@@ -77,7 +77,7 @@ class Planes(NamedTuple):
     """The planes at which materials end (``distfield --border flat``)."""
 
     of_triangles: Labels
-    """Number of the plane of each triangle, from 0, or -1, shape ``(m,)``."""
+    """Number of the plane in which each triangle lies, from 0; -1 elsewhere. Shape ``(m,)``."""
     names: list[str]
     """Names of the planes by number."""
 
@@ -101,10 +101,11 @@ def read_planes(surface: pv.PolyData) -> Planes | None:
     return Planes(numbers, names + [str(number + 1) for number in unnamed])
 
 
-def fronts(sides: Sides, planes: Planes | None) -> Labels:
-    """Return the material in front of each triangle, in the numbers of the distance field.
+def materials_in_front(sides: Sides, planes: Planes | None) -> Labels:
+    """Return the material in front of each triangle, by its number in the distance field.
 
-    There, the spaces beyond planes are materials of their own, which follow those of the surface.
+    In the field, the space beyond each plane is a material with a number after those of the
+    surface.
 
     Parameters
     ----------

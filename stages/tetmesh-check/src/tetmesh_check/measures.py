@@ -290,8 +290,8 @@ def _tell_layers(found: dict[str, Any], option: str, context: Context) -> None:
         x, y, z = places[0]["place_mm"]
         context.warn(
             f"{option}: the layers are thinner at {counted(found['thinner_nodes'], 'node')} of "
-            f"{found['nodes']:,}, in {counted(len(places), 'place')}, down to {100.0 * places[0]['share']:.3g} % at "
-            f"({x:.6g}, {y:.6g}, {z:.6g}) mm (all: layers in the report)"
+            f"{found['nodes']:,}, in {counted(len(places), 'place')}, down to {100.0 * places[0]['share']:.3g} % of "
+            f"their thickness at ({x:.6g}, {y:.6g}, {z:.6g}) mm (all: layers in the report)"
         )
 
 

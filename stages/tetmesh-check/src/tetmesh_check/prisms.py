@@ -2,9 +2,9 @@
 
 The nodes of a prism are two triangles, and the normal of the first one points to the second. VTK,
 Gmsh, Abaqus, FEBio and Nastran have the same order. With corners a0 .. a2 and b0 .. b2, the
-position is (1 - t) a(r, s) + t b(r, s), so the Jacobian at (r, s) is a mean of three quadratic
-polynomials in t, those of the edges from a to b. If their Bernstein coefficients are positive, the
-Jacobian is positive everywhere.
+position is (1 - t) a(r, s) + t b(r, s). The Jacobian at (r, s) is a weighted mean of three
+quadratic polynomials in t, one for each edge from a_i to b_i. If all their Bernstein coefficients
+are positive, the Jacobian is positive everywhere.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from tetmesh_check.quality import Cells, Points, Values
 
-SIDES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (0, 3, 5, 2))
+FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (0, 3, 5, 2))
 """Faces of a prism, counter-clockwise as seen from outside."""
 
 
@@ -35,7 +35,8 @@ def jacobians(points: Points, prisms: Cells) -> Values:
 def scaled_jacobian(points: Points, prisms: Cells) -> Values:
     """Return the minimum scaled Jacobian at the corners; 1 is a right prism on a regular triangle.
 
-    It is 2 / sqrt(3) times the Jacobian over the lengths of the three edges (Verdict).
+    At a corner, it is 2 / sqrt(3) times the Jacobian, divided by the product of the lengths of the
+    three edges there (Verdict).
     """
     corners = points[prisms]
     sides = corners.reshape(-1, 2, 3, 3)

@@ -1,8 +1,9 @@
 """Moves nodes along the normals of their triangles, and the nodes nearby with them.
 
 A node moves by the vector d whose component along the normal of each adjacent triangle is a given
-height (least squares), in two systems of normals: the second only determines the directions that
-the first leaves free. Gaps (:mod:`.gap`) and prism layers (:mod:`.layers`) use both.
+height (least squares). Two systems of such equations are solved in turn: the second determines d
+only in the directions that the first leaves free. Gaps (:mod:`.gap`) and prism layers
+(:mod:`.layers`) use this module.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ it. If the mean of both distances is right, each is within 0.5 %."""
 NOISE = 1.0 - SHARP**2
 """Minimum mean square of the normals' components along a direction in which they determine the
 movement of a node: sin^2 of the angle of :data:`SHARP`."""
-LAYERS = 4
-"""Layers of elements that follow. In the ball of ``test_gap.py`` with a gap of 0.8 mm, the minimum
-dihedral angle is 13.4 degrees with 0 layers, 17.9 with 2, and 19.3 with 4 and 8."""
+FOLLOWER_RINGS = 4
+"""Rings of elements around moved nodes that follow. In the ball of ``test_gap.py`` with a gap of
+0.8 mm, the minimum dihedral angle is 13.4 degrees with 0 rings, 17.9 with 2, and 19.3 with 4 and
+8."""
 _SWEEPS = 60
-"""Sweeps of Jacobi's method for these nodes. The error in :data:`LAYERS` layers falls by
-cos(pi / 5) = 0.81 in each, so by more than 1e5 in all."""
+"""Sweeps of Jacobi's method for these nodes. Each multiplies the error in :data:`FOLLOWER_RINGS`
+rings by at most cos(pi / 5) = 0.81, so all of them by less than 1e-5."""
 
 System = tuple[Points, Points]
 """The normal equations of each node: matrices, shape ``(n, 3, 3)`` and trace 1, and right sides."""
@@ -94,7 +96,7 @@ def solve_in_turn(first: System, second: System, leasts: tuple[float, float]) ->
 
 
 class Followers:
-    """The nodes near moved nodes, which move by the weighted mean of their neighbours.
+    """The nodes near moved nodes. Each moves by the weighted mean movement of its neighbours.
 
     Parameters
     ----------
@@ -111,7 +113,7 @@ class Followers:
     ) -> None:
         is_near = np.zeros(len(points), dtype=bool)
         is_near[moved] = True
-        for _ in range(LAYERS):
+        for _ in range(FOLLOWER_RINGS):
             is_near[tetrahedra[is_near[tetrahedra].any(axis=1)]] = True
         cells = tetrahedra[is_near[tetrahedra].any(axis=1)]
         pairs = cells[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)

@@ -14,7 +14,7 @@ from isoparticles._native import DistanceField
 
 from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
-from tetmesh_check.materials import Planes, Sides, fronts
+from tetmesh_check.materials import Planes, Sides, materials_in_front
 from tetmesh_check.quality import Values, summarize
 
 
@@ -49,7 +49,7 @@ def make_quadratic(
         The planes at which the materials end.
     """
     curved = (~mesh.is_cap).astype(np.int64)
-    between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, fronts(sides, planes))
+    between = (curved, np.zeros_like(curved)) if sides is None else (sides.inside, materials_in_front(sides, planes))
     found = field.quadratic(mesh.points, mesh.tetrahedra, mesh.boundary, *between)
     count = len(mesh.points)
     volumes, straight = found["volumes"], found["straight_volumes"]

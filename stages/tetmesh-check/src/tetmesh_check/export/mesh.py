@@ -94,7 +94,7 @@ def _sets(numbers: Labels, names: Mapping[int, str]) -> list[NamedSet]:
 
 
 def _blocks(members: Labels | None, *kinds: tuple[str, Cells]) -> list[Block]:
-    """Return members by kind, without empty kinds; all by default."""
+    """Return elements or faces by kind, without empty kinds; ``None`` selects all."""
     found, first = [], 0
     for kind, nodes in kinds:
         own = np.arange(first, first + len(nodes))

@@ -185,7 +185,7 @@ def _find_walls(layers: Sequence[Layers], rows: list[Part], find: Finder) -> lis
         if number is None and len(beside) > 1:
             raise StageError(
                 f"{own.told}: the wall has several materials: {names}",
-                "the layers lie in one of them",
+                "the layers can lie in only one of them",
                 f"name it, as in '--layers {find.names[max(beside)]}:{own.wall.text}'",
             )
         number = beside.pop() if number is None else number

@@ -11,7 +11,8 @@ from tetmesh_check.parts.algebra import Definition, read_expression
 from tetmesh_check.quality import Values
 
 MAX_COUNT = 50
-"""Maximum number of layers. More than 50 prisms on each triangle are a mistake in the option."""
+"""Maximum number of layers; a larger number is taken for a mistake. With a ratio of 1.1, 50 layers
+are (1.1^50 - 1) / 0.1 = 1,164 times as thick as the first."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Layers:
 
 
 def read_layers(text: str) -> Layers:
-    """Parse ``MATERIAL:WALL=COUNT,FIRST,RATIO``; raise ``ValueError`` if it is malformed."""
+    """Parse ``MATERIAL:WALL=N,MM,RATIO``; raise ``ValueError`` if it is malformed."""
     given, _, numbers = text.rpartition("=")
     material, colon, expression = given.rpartition(":")
     try:
@@ -48,9 +49,9 @@ def read_layers(text: str) -> Layers:
     except ValueError:
         count = first = ratio = math.nan
     if not given or (colon and not material.strip()) or math.isnan(count + first + ratio):
-        raise ValueError(f"'{text}' is not WALL=COUNT,FIRST,RATIO or MATERIAL:WALL=COUNT,FIRST,RATIO")
+        raise ValueError(f"'{text}' is not WALL=N,MM,RATIO or MATERIAL:WALL=N,MM,RATIO")
     if count not in range(1, MAX_COUNT + 1):
         raise ValueError(f"'{text}': the number of layers must be a whole number from 1 to {MAX_COUNT}")
     if not (0.0 < first < math.inf and 0.0 < ratio < math.inf):
-        raise ValueError(f"'{text}': the first height (mm) and the ratio must be above 0")
+        raise ValueError(f"'{text}': the first height (mm) and the ratio must be above 0 and finite")
     return Layers(Definition("layers", text, read_expression(expression)), material.strip(), int(count), first, ratio)

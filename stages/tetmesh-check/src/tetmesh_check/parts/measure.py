@@ -16,7 +16,7 @@ it, the part is nearly closed or a tube, and its mean normal is noise."""
 
 
 def _measured(members: Labels, vectors: Points, centres: Points, triangles: int) -> dict[str, Any]:
-    """Return area, centre and mean normal of some faces; the first ones of all are triangles."""
+    """Return measures of some faces. Faces with indices below ``triangles`` are triangles."""
     areas = np.linalg.norm(vectors[members], axis=1)
     area, total = float(areas.sum()), vectors[members].sum(axis=0)
     length = float(np.linalg.norm(total))

@@ -105,7 +105,8 @@ class Entry:
 def _labels(entries: Any) -> tuple[int, ...]:
     """Return the labels of the first layer in a list of labels of a report.
 
-    The labels of an object that ends at planes are a text; its material lists them.
+    For an object that ends at planes, the entry is a text such as ``1,2``; the table of materials
+    lists its labels.
     """
     if isinstance(entries, str):
         return ()
