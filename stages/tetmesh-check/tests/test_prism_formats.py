@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -22,6 +23,8 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.prisms import FACES, jacobians, scaled_jacobian
 from tetmesh_check.quality import tetrahedron_quality
+
+CCX = shutil.which("ccx")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +108,43 @@ def test_abaqus_surfaces_have_faces_of_prisms(mesh: MarkedMesh, tmp_path: Path) 
             nodes = elements[int(number) - 1]
             found.append(tuple(sorted(nodes[corner - 1] for corner in sides[len(nodes)][int(side) - 1])))
         assert sorted(found) == faces_of(mesh, own.name)
+
+
+@pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
+def test_calculix_passes_the_patch_test_with_prisms(mesh: MarkedMesh, tmp_path: Path) -> None:
+    # with linear displacements of the boundary, conforming linear elements have them inside as well
+    path = written(mesh, tmp_path, "inp")
+    gradient = 1e-3 * np.array([[1.0, 0.3, -0.2], [0.4, -0.5, 0.6], [-0.7, 0.2, 0.9]])
+    expected = mesh.points @ gradient.T
+    written_mesh = pv.read(written(mesh, tmp_path, "vtk"))
+    surface = written_mesh.extract_surface(pass_pointid=True, algorithm="dataset_surface")
+    boundary = np.unique(surface.point_data["vtkOriginalPointIds"])
+    assert len(boundary) < 0.9 * len(mesh.points)
+    moved = "\n".join(
+        f"{node + 1}, {axis + 1}, {axis + 1}, {expected[node, axis]:.12g}" for node in boundary for axis in range(3)
+    )
+    (tmp_path / "job.inp").write_text(
+        f"""*INCLUDE, INPUT={path.name}
+*NSET, NSET=EVERY, GENERATE
+1, {len(mesh.points)}
+*MATERIAL, NAME=TISSUE
+*ELASTIC
+1.0, 0.3
+*SOLID SECTION, ELSET=VOLUME, MATERIAL=TISSUE
+*STEP
+*STATIC
+*BOUNDARY
+{moved}
+*NODE PRINT, NSET=EVERY
+U
+*END STEP
+"""
+    )
+    subprocess.run([str(CCX), "job"], cwd=tmp_path, check=True, capture_output=True)
+    rows = [line.split() for line in (tmp_path / "job.dat").read_text().splitlines()]
+    found = {int(row[0]): row[1:] for row in rows if len(row) == 4 and row[0].isdigit()}
+    values = np.array([found[node + 1] for node in range(len(mesh.points))], dtype=float)
+    np.testing.assert_allclose(values, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_febio_has_prism_domains_with_the_material_of_the_region(mesh: MarkedMesh, tmp_path: Path) -> None:
