@@ -29,9 +29,8 @@ pub struct Interfaces {
     pub segments: Vec<(Segment, Stratum)>,
     /// Vertices at which strata are merged.
     pub joined: Vec<Joined>,
-    /// The lowest number of a space beyond a plane in `between`, if there is one
-    /// ([`isoparticles_field::materials::Bounded`]). It and all higher numbers belong to the region
-    /// of the outside.
+    /// Number of the space beyond the first plane, if the materials end at planes
+    /// ([`isoparticles_field::materials::Indicators::first_beyond`]).
     pub first_beyond: Option<MaterialId>,
 }
 
@@ -120,19 +119,15 @@ impl Interfaces {
         at
     }
 
-    /// Returns the region of a material: the outside for a space beyond a plane.
-    pub fn region(&self, id: MaterialId) -> MaterialId {
-        if self.first_beyond.is_some_and(|first| id >= first) { MaterialId::OUTSIDE } else { id }
-    }
-
     /// Returns the regions inside and outside of a triangle.
     pub fn regions_of(&self, triangle: u32) -> [MaterialId; 2] {
-        self.between[triangle as usize].map(|id| self.region(id))
+        self.between[triangle as usize].map(|id| id.region(self.first_beyond))
     }
 
     /// Returns the regions that have triangles, ascending.
     pub fn regions(&self) -> Vec<MaterialId> {
-        let mut ids: Vec<MaterialId> = self.pairs().into_iter().flatten().map(|id| self.region(id)).collect();
+        let mut ids: Vec<MaterialId> =
+            self.pairs().into_iter().flatten().map(|id| id.region(self.first_beyond)).collect();
         ids.sort_unstable();
         ids.dedup();
         ids

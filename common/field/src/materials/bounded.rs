@@ -12,6 +12,7 @@ use super::{Indicators, KNOWN_VOXELS, MaterialId, Near, far};
 use crate::spline::Jet;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 
 /// Depth, in mean voxel spacings, that replaces an infinite one deep inside a material. Only
 /// F_m - F_b is used there, which does not depend on F_m: no interface of two materials is nearer
@@ -33,6 +34,13 @@ impl Bound {
     /// Returns the signed distance (mm) of a position from the plane, positive beyond it.
     pub fn distance(&self, grid: DVec3) -> f64 {
         (grid - self.point).dot(self.normal)
+    }
+
+    /// Returns whether an axis-aligned box lies before the plane (less), crosses it (equal) or lies
+    /// beyond it (greater). The box is given by its centre and half its size, mm.
+    pub fn side_of_box(&self, centre: DVec3, half: DVec3) -> Ordering {
+        let (distance, reach) = (self.distance(centre), self.normal.abs().dot(half));
+        if distance.abs() <= reach { Ordering::Equal } else { distance.total_cmp(&0.0) }
     }
 }
 
@@ -128,8 +136,8 @@ impl<I: Indicators> Indicators for Bounded<'_, I> {
         self.inner.voxel()
     }
 
-    fn region(&self, id: MaterialId) -> MaterialId {
-        if id.0 >= self.first { MaterialId::OUTSIDE } else { id }
+    fn first_beyond(&self) -> Option<MaterialId> {
+        (!self.bounds.is_empty()).then_some(MaterialId(self.first))
     }
 
     #[inline(always)]

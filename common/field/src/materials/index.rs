@@ -186,7 +186,7 @@ impl Materials {
         let is_crossed = |brick: usize| {
             let first = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| (n * CELLS) as f64);
             let centre = DVec3::from_array(first) * self.geometry.spacing + half;
-            self.bounds.iter().any(|bound| bound.distance(centre).abs() <= bound.normal.abs().dot(half))
+            self.bounds.iter().any(|bound| bound.side_of_box(centre, half).is_eq())
         };
         let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1 || is_crossed(brick));
         let extent = |brick: usize| {
@@ -371,8 +371,8 @@ impl Indicators for Materials {
         self.geometry.mean_spacing()
     }
 
-    fn region(&self, id: MaterialId) -> MaterialId {
-        self.bounded().region(id)
+    fn first_beyond(&self) -> Option<MaterialId> {
+        self.bounded().first_beyond()
     }
 
     #[inline(always)]

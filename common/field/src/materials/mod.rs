@@ -45,6 +45,12 @@ impl MaterialId {
     /// The outside: the space that no other material covers.
     pub const OUTSIDE: Self = Self(0);
 
+    /// Returns the region of the material: the outside for the space beyond a plane, otherwise the
+    /// material itself. `first_beyond` is the number of the space beyond the first plane.
+    pub fn region(self, first_beyond: Option<Self>) -> Self {
+        if first_beyond.is_some_and(|first| self >= first) { Self::OUTSIDE } else { self }
+    }
+
     /// Returns the number as an index into the table.
     pub fn index(self) -> usize {
         usize::from(self.0)
@@ -156,10 +162,16 @@ pub trait Indicators: Sync {
         self.near(grid).first().unwrap_or(MaterialId::OUTSIDE)
     }
 
-    /// Returns the region of a material: the outside for the space beyond a plane
-    /// ([`Bounded`]), otherwise the material itself. A mesh has no triangles within a region.
+    /// Returns the number of the space beyond the first plane, if the materials end at planes
+    /// ([`Bounded`]). The spaces beyond planes have this number and all higher ones.
+    fn first_beyond(&self) -> Option<MaterialId> {
+        None
+    }
+
+    /// Returns the region of a material ([`MaterialId::region`]). A mesh has no triangles within a
+    /// region.
     fn region(&self, id: MaterialId) -> MaterialId {
-        id
+        id.region(self.first_beyond())
     }
 
     /// Returns whether a material is the space beyond a plane.
@@ -220,8 +232,7 @@ pub trait Indicators: Sync {
         let near = self.near(grid);
         let others = near.entries().iter().filter(|(id, _)| !own.contains(id));
         let smallest = others.map(|(_, value)| *value).fold(f64::INFINITY, f64::min);
-        let value = |id: &MaterialId| near.entries().iter().find(|(known, _)| known == id).map(|(_, value)| *value);
-        let largest = own.iter().map(|id| value(id).unwrap_or(f64::INFINITY)).fold(f64::NEG_INFINITY, f64::max);
+        let largest = own.iter().map(|&id| near.value(id)).fold(f64::NEG_INFINITY, f64::max);
         if largest == f64::INFINITY { f64::NEG_INFINITY } else { smallest - largest }
     }
 

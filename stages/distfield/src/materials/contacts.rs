@@ -260,7 +260,7 @@ impl Corners {
     /// indicator.
     fn deciding(&self, materials: &Materials) -> u8 {
         let near = self.near(materials);
-        let value = |n: u8| value_of(&near, self.materials[usize::from(n)]);
+        let value = |n: u8| near.value(self.materials[usize::from(n)]);
         if self.count == 4 {
             let [first, second] = [[0, 3], [1, 2]].map(|pair| pair.map(value));
             let larger = [first, second].map(|[a, b]| a.max(b));
@@ -354,7 +354,7 @@ fn lacking_at(
     // effect of a unit raise at one corner on the value at the midpoint
     let share = HALF_WAY.powi(corners.count.ilog2() as i32);
     let mut keep_above = |id: MaterialId, limit: f64, is_undecided: bool| {
-        let value = value_of(&near, id);
+        let value = near.value(id);
         if value.is_finite() && value < limit + clearance {
             let not_own = (0..corners.count).filter(|&n| corners.materials[n] != id);
             let nodes: Vec<[usize; 3]> = not_own.map(|n| corners.nodes[n]).collect();
@@ -362,7 +362,7 @@ fn lacking_at(
             lacks.push(Lack { material: id, corners: nodes, raise, is_undecided, is_lost: value < limit });
         }
     };
-    let values = || corners.materials().iter().map(|&id| value_of(&near, id));
+    let values = || corners.materials().iter().map(|&id| near.value(id));
     let largest = values().fold(f64::NEG_INFINITY, f64::max);
     let limit = if corners.count == 2 { largest } else { values().fold(f64::INFINITY, f64::min) };
     if !limit.is_finite() {
@@ -374,18 +374,12 @@ fn lacking_at(
     }
     let deciding = usize::from(element.deciding);
     let touching = [deciding, corners.count - 1 - deciding].map(|n| corners.materials[n]);
-    let limit = touching.map(|id| value_of(&near, id)).into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let limit = touching.map(|id| near.value(id)).into_iter().fold(f64::NEG_INFINITY, f64::max);
     let smallest = corners.materials[deciding];
     let is_after = |id: MaterialId| match corners.count {
         4 => !touching.contains(&id),
         _ => id != smallest && (corners.is_across(smallest) || corners.is_across(id)),
     };
-    let limit = if corners.count == 4 { limit } else { value_of(&near, smallest) };
+    let limit = if corners.count == 4 { limit } else { near.value(smallest) };
     known.iter().filter(|&&id| corners.has(id) && is_after(id)).for_each(|&id| keep_above(id, limit, true));
-}
-
-/// Returns the value (mm) of an indicator stored near a point, or infinity if it is not stored
-/// there.
-fn value_of(near: &Near, material: MaterialId) -> f64 {
-    near.entries().iter().find(|(id, _)| *id == material).map_or(f64::INFINITY, |(_, value)| *value)
 }

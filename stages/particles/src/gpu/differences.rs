@@ -190,11 +190,10 @@ impl Planes {
         let half = 0.5 * CELLS as f64 * materials.geometry().spacing;
         let centre = node_position(materials, brick, [0.5 * CELLS as f64; 3]);
         let first = materials.indicators().len() as u16;
-        let reach = |bound: &Bound| bound.normal.abs().dot(half);
-        let is_crossed = |(_, bound): &(u16, &Bound)| bound.distance(centre).abs() <= reach(bound);
+        let is_crossed = |(_, bound): &(u16, &Bound)| bound.side_of_box(centre, half).is_eq();
         Self {
             crossing: (first..).zip(materials.bounds()).filter(is_crossed).map(|(id, _)| MaterialId(id)).collect(),
-            is_beyond: materials.bounds().iter().any(|bound| bound.distance(centre) > reach(bound)),
+            is_beyond: materials.bounds().iter().any(|bound| bound.side_of_box(centre, half).is_gt()),
         }
     }
 

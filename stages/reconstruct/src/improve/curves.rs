@@ -19,12 +19,8 @@ impl Surface<'_> {
     /// Returns the projection of `p` onto a curve, or `None` if it fails or is farther than `limit`
     /// (mm).
     fn onto_curve(&self, curve: &Curve, p: DVec3, limit: f64) -> Option<DVec3> {
-        self.field.project_onto_curve(
-            [curve.sheets[0], curve.sheets[1]],
-            p,
-            limit,
-            PROJECTION_TOLERANCE * self.field.voxel(),
-        )
+        let tolerance = PROJECTION_TOLERANCE * self.field.voxel();
+        self.field.project_onto_curve([curve.sheets[0], curve.sheets[1]], p, limit, tolerance)
     }
 
     /// Returns the distance (mm) between a curve and the midpoint of two of its points, or infinity

@@ -56,8 +56,7 @@ impl<'a> Complex<'a> {
         let renumbered = |[a, b]: Segment| segment(number(a), number(b));
         interfaces.segments = self.segments.all().map(|(pair, curve)| (renumbered(pair), curve)).collect();
         interfaces.segments.sort_unstable();
-        let ids = interfaces.between.iter().flatten().copied();
-        interfaces.first_beyond = ids.filter(|&id| self.indicators.is_beyond(id)).min();
+        interfaces.first_beyond = self.indicators.first_beyond();
         let joined = self.joined.iter().map(|&v| Joined { vertex: number(v), distance: self.tolerance(v) });
         interfaces.joined = joined.filter(|own| own.vertex != u32::MAX).collect();
         let dimensions = used.iter().map(|&v| self.strata[v as usize].dimension()).collect();

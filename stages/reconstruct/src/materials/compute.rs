@@ -59,7 +59,7 @@ pub(crate) fn compute(
     let pairs: Vec<_> = made.checked.pairs.iter().map(|pair| &pair.between).collect();
     let volumes = of_materials(&told, &made.checked.regions);
     let notes = [("volumes", json!(volumes)), ("refine", json!(made.refined)), ("interfaces", json!(pairs))];
-    let surface = attributes(&made, table.len() as u16, geometry);
+    let surface = attributes(&made, geometry);
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: Some(source),
@@ -90,9 +90,9 @@ pub(crate) fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Stra
 
 /// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
 /// that meet) and triangles (the two regions, radius ratio, and the number of the plane in which
-/// the triangle lies, from 1). `first_beyond` is the number of the space beyond the first plane.
-fn attributes(made: &Reconstruction, first_beyond: u16, geometry: &Geometry) -> Surface {
-    let Interfaces { mesh, between, .. } = &made.interfaces;
+/// the triangle lies, from 1).
+fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
+    let Interfaces { mesh, between, first_beyond, .. } = &made.interfaces;
     let mut surface = Surface::from_grid(mesh, geometry);
     let meeting = made.interfaces.materials_at_vertices().iter().map(|ids| ids.len() as i64).collect();
     surface.point_data = vec![DataArray::scalars("h", made.sizes.clone()), DataArray::integers("materials", meeting)];
@@ -100,15 +100,14 @@ fn attributes(made: &Reconstruction, first_beyond: u16, geometry: &Geometry) -> 
         let of = |t: u32| i64::from(made.interfaces.regions_of(t)[n].0);
         (0..between.len() as u32).map(of).collect()
     };
-    let cap = |pair: &[MaterialId; 2]| i64::from((pair[1].0 + 1).saturating_sub(first_beyond));
-    let caps: Vec<i64> = between.iter().map(cap).collect();
     surface.cell_data = vec![
         DataArray::integers(SIDES[0], side(0)),
         DataArray::integers(SIDES[1], side(1)),
         DataArray::scalars("radius_ratio", radius_ratios(mesh)),
     ];
-    if caps.iter().any(|&cap| cap > 0) {
-        surface.cell_data.push(DataArray::integers("cap", caps));
+    if let Some(first) = first_beyond {
+        let cap = |pair: &[MaterialId; 2]| i64::from((pair[1].0 + 1).saturating_sub(first.0));
+        surface.cell_data.push(DataArray::integers("cap", between.iter().map(cap).collect()));
     }
     surface
 }

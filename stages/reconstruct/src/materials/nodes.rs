@@ -160,16 +160,16 @@ impl Nodes {
     /// this fails or a vertex is already there, the remedy is a split of a facet nearby.
     pub(super) fn violation(&self, complex: &Complex, node: usize, near: u32) -> Option<Violation> {
         let place = self.place(node);
-        let own = MaterialId(self.material[node]);
+        let region = MaterialId(self.material[node]);
         let t = complex.labelled.locate(place, near);
         let found = t.map_or(MaterialId::OUTSIDE, |t| complex.material(t));
-        if found == own {
+        if found == region {
             return None;
         }
         let near_node = complex.indicators.near(place);
         let ids = || near_node.entries().iter().map(|(id, _)| *id);
-        let nearest = ids().find(|&id| complex.indicators.region(id) != own);
-        let own = ids().next().unwrap_or(own);
+        let own = ids().next().unwrap_or(region);
+        let nearest = ids().find(|&id| complex.indicators.region(id) != region);
         let limit = REACH * complex.indicators.voxel();
         let on = |other: MaterialId| {
             let stratum = (other != own).then(|| Stratum::interface(own, other))?;

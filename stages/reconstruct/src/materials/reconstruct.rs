@@ -138,17 +138,13 @@ pub fn reconstruct(
     let checked = check(&interfaces, &how);
     let mut failed = checked.failed.clone();
     let pieces = match checked.offenders.get(&Fault::NodesOnWrongSide) {
-        Some(Simplices::Nodes(wrong)) => pieces(&nodes, wrong, regions(indicators, table)),
+        Some(Simplices::Nodes(wrong)) => {
+            pieces(&nodes, wrong, &table[..indicators.first_beyond().map_or(table.len(), MaterialId::index)])
+        }
         _ => Vec::new(),
     };
     failed.extend(missing(&pieces));
     let sizes = interfaces.mesh.vertices.par_iter().map(|&p| size(p)).collect();
     drop(phase);
     Ok(Reconstruction { interfaces, sizes, taken, refined, improved, checked, pieces, failed })
-}
-
-/// Returns the table without the spaces beyond planes, which are at its end.
-fn regions<'t>(indicators: &dyn Indicators, table: &'t [Material]) -> &'t [Material] {
-    let is_region = |(id, _): &(u16, &Material)| !indicators.is_beyond(MaterialId(*id));
-    &table[..(0..).zip(table).take_while(is_region).count()]
 }
