@@ -22,6 +22,7 @@ pub mod choose;
 pub mod closest;
 pub mod crop;
 mod envelope;
+mod faces;
 pub mod field;
 pub mod fit;
 pub mod gaussian;

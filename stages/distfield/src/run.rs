@@ -6,6 +6,7 @@ use crate::args::BorderChoice;
 use crate::check::check;
 use crate::choose::{Object, ScaleChoice, choose_scale, extract_scaled, inside_name};
 use crate::crop::room_of_spline;
+use crate::faces::touched_faces;
 use crate::input::take_out;
 use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
@@ -20,7 +21,7 @@ use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind};
-use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
+use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Source};
 use isoparticles_stage::space;
 use isoparticles_survey::selection::noted;
 use isoparticles_volume::{CutFaces, Geometry, Image, LayerLabel, Volume};
@@ -104,7 +105,7 @@ pub fn compute(args: &Args, volume: Volume, context: &Context) -> Result<Made> {
     let mut failed = failed_checks(&result, &meta, context);
     failed.extend(check_volume(&result, &meta, args.scale.accept_losses, context));
     if args.border == BorderChoice::Flat || !args.cut.is_empty() {
-        let file = materials::object_with_planes(args, result.field, meta, context).map_err(about_file)?;
+        let file = materials::object_with_planes(args, result.field, &object, meta, context).map_err(about_file)?;
         return Ok(Made { distance: DistanceField::Materials(Arc::new(file)), failed });
     }
     let (image, meta, history) = (Arc::new(result.field), json!(meta), Some(context.history()));
@@ -144,7 +145,9 @@ fn make(args: &Args, volume: Volume, object: &Object, context: &Context) -> Resu
     }?;
     let cap_planes = match args.border {
         BorderChoice::Open => Vec::new(),
-        BorderChoice::Cap | BorderChoice::Flat => cap_planes(&result.field, &whole),
+        BorderChoice::Cap | BorderChoice::Flat => {
+            touched_faces(&result.field.geometry, &whole, |[i, j, k]| result.field.at(i, j, k) < 0.0)
+        }
     };
     tell_grid(&whole.padded(margin), &result.field.geometry, context);
     notes["margin"] = json!(margin);
@@ -229,31 +232,4 @@ fn extract_labels(
         "voxels_changed": result.changed,
     });
     Ok((result, meta))
-}
-
-/// Returns the planes that close the object at the border of the volume, in the grid frame of F:
-/// axis (0 to 2), side, and position in mm. `whole` is the grid of the volume.
-fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
-    let size = field.geometry.size;
-    // index of the volume's first voxel in the grid of F, from the world positions of both grids
-    let first = field.geometry.grid_to_index(field.geometry.world_to_grid(whole.origin)).round();
-    let mut planes = Vec::new();
-    for axis in 0..3 {
-        let low = first[axis] as isize;
-        for (side, layer) in [(Side::Low, low), (Side::High, low + whole.size[axis] as isize - 1)] {
-            let Some(layer) = usize::try_from(layer).ok().filter(|&layer| layer < size[axis]) else { continue };
-            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-            let is_inside = |a: usize, b: usize| {
-                let mut index = [0; 3];
-                (index[axis], index[u], index[v]) = (layer, a, b);
-                field.at(index[0], index[1], index[2]) < 0.0
-            };
-            if (0..size[v]).any(|b| (0..size[u]).any(|a| is_inside(a, b))) {
-                let beyond = if side == Side::Low { -0.5 } else { 0.5 };
-                let position = (layer as f64 + beyond) * field.geometry.spacing[axis];
-                planes.push(CapPlane { axis, side, position });
-            }
-        }
-    }
-    planes
 }

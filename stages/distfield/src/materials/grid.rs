@@ -2,7 +2,7 @@
 //! the volume.
 
 use super::choice::Chosen;
-use super::planes::face_plane;
+use crate::faces::{face_plane, touched_faces};
 use crate::mask::Mask;
 use crate::scale::Coarser;
 use crate::{Border, bits::Bits};
@@ -99,21 +99,8 @@ impl LabelGrid {
     /// Returns planes half a voxel beyond the outermost voxel centres, at the faces of the volume
     /// that materials touch. Positions are in the frame of the padded grid, mm.
     pub fn border_planes(&self) -> Vec<Bound> {
-        let Geometry { size, spacing, .. } = self.geometry;
-        let [nx, ny, _] = size;
-        let is_touched = |axis: usize, layer: usize| {
-            (0..self.numbers.len()).into_par_iter().any(|n| {
-                let voxel = [n % nx, n / nx % ny, n / (nx * ny)];
-                voxel[axis] == layer && self.numbers[n] != MaterialId::OUTSIDE.0
-            })
-        };
-        let face = |axis: usize, is_last: bool| {
-            let layer = if is_last { size[axis] - 1 } else { 0 };
-            let half = if is_last { 0.5 } else { -0.5 };
-            let position = ((self.margin + layer) as f64 + half) * spacing[axis];
-            is_touched(axis, layer).then(|| face_plane(axis, is_last, position))
-        };
-        (0..3).flat_map(|axis| [false, true].map(|is_last| face(axis, is_last))).flatten().collect()
+        let is_inside = |node: [usize; 3]| self.at(node) != MaterialId::OUTSIDE;
+        touched_faces(&self.padded(), &self.geometry, is_inside).iter().map(face_plane).collect()
     }
 
     /// Returns the bounding boxes of all materials, indexed by material number.

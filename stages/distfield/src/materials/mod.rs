@@ -18,7 +18,6 @@ pub mod grid;
 pub mod islands;
 mod object;
 pub mod overlaps;
-mod planes;
 pub mod scaled;
 pub mod scales;
 pub mod survey;

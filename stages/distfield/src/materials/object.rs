@@ -3,17 +3,18 @@
 
 use super::cut::{survey_cut, with_planes};
 use super::grid::LabelGrid;
-use super::planes::face_plane;
 use super::survey::{Survey, distance_limit, voxel_volumes};
 use crate::Border;
 use crate::args::{Args, BorderChoice};
+use crate::choose::Object;
+use crate::faces::face_plane;
 use isoparticles_field::materials::{Bound, Indicator, Material, MaterialId, Materials};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::materials_file::{MaterialsFile, Shown};
-use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, MaterialsMeta, Side};
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_stage::meta::{self, DistanceMeta, MaterialsMeta};
+use isoparticles_volume::{Image, LayerLabel};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -29,15 +30,18 @@ const OBJECT: &str = "object";
 pub(crate) fn object_with_planes(
     args: &Args,
     field: Image<f32>,
+    object: &Object,
     told: DistanceMeta,
     context: &Context,
 ) -> Result<MaterialsFile> {
     let step = context.step("planes");
     let grid = labelled(&field);
-    let materials = indicators(field);
+    let materials = match object {
+        Object::Labels(labels) => indicators(field, labels),
+        Object::Iso(..) => indicators(field, &[]),
+    };
     let is_flat = args.border == BorderChoice::Flat;
-    let plane = |face: &CapPlane| face_plane(face.axis, face.side == Side::High, face.position);
-    let at_border: Vec<Bound> = told.cap_planes.iter().filter(|_| is_flat).map(plane).collect();
+    let at_border: Vec<Bound> = told.cap_planes.iter().filter(|_| is_flat).map(face_plane).collect();
     let whole = voxel_volumes(&grid, &at_border, 2)[1];
     let materials = with_planes(materials, &args.cut, at_border)?;
     let found = survey_cut(&materials, &grid, &args.cut, context)?;
@@ -65,18 +69,17 @@ fn labelled(field: &Image<f32>) -> LabelGrid {
     LabelGrid { geometry: field.geometry.clone(), numbers, border: Border::Open, margin: 0 }
 }
 
-/// Returns the outside and the object as materials with the indicators -F and F.
-fn indicators(mut field: Image<f32>) -> Materials {
-    let geometry: Geometry = field.geometry.clone();
-    let of = |field: &Image<f32>, name: &str| {
-        let surrounds = name != OBJECT;
-        let (indicator, negative) = Indicator::new(field, [0; 3], geometry.size, surrounds);
-        (Material { name: name.to_owned(), labels: Vec::new() }, indicator, negative)
-    };
-    let object = of(&field, OBJECT);
+/// Returns the outside and the object, which has some labels, as materials with the indicators -F
+/// and F.
+fn indicators(mut field: Image<f32>, labels: &[LayerLabel]) -> Materials {
+    let size = field.geometry.size;
+    let object = Material { name: OBJECT.to_owned(), labels: labels.to_vec() };
+    let outside = Material { name: super::choice::OUTSIDE.to_owned(), labels: Vec::new() };
+    let (inner, filled) = Indicator::new(&field, [0; 3], size, false);
     field.data.par_iter_mut().for_each(|f| *f = -*f);
-    let outside = of(&field, super::choice::OUTSIDE);
-    Materials::new(geometry.clone(), vec![outside, object]).expect("two indicators on one grid")
+    let (outer, surroundings) = Indicator::new(&field, [0; 3], size, true);
+    let both = vec![(outside, outer, surroundings), (object, inner, filled)];
+    Materials::new(field.geometry, both).expect("two indicators on one grid")
 }
 
 /// Returns the notes on the materials that later stages and users read. `whole` is the volume of
@@ -89,7 +92,8 @@ fn notes(materials: &Materials, told: &DistanceMeta, whole: f64, found: &Survey)
     let row = |id: usize| {
         let (name, volume) = (&materials.table()[id].name, found.volumes[id]);
         let volume_before = before.filter(|_| id != MaterialId::OUTSIDE.index());
-        json!({ "number": id, "name": name, "labels": [], "volume_before": volume_before, "volume": volume })
+        let labels = &materials.table()[id].labels;
+        json!({ "number": id, "name": name, "labels": labels, "volume_before": volume_before, "volume": volume })
     };
     let table: Vec<Value> = (0..materials.indicators().len()).map(row).collect();
     let notes =

@@ -3,7 +3,6 @@
 //! centres that changed material.
 
 use super::grid::LabelGrid;
-use super::planes::fraction_left;
 use crate::Border;
 use glam::DVec3;
 use isoparticles_field::enclosed::enclosed_volumes;
@@ -148,6 +147,14 @@ pub(super) fn voxel_volumes(grid: &LabelGrid, bounds: &[Bound], materials: usize
         }
     }
     fractions.into_iter().map(|fraction| fraction * spacing.element_product()).collect()
+}
+
+/// Returns the fraction of a voxel that the planes leave. The fraction for one plane is exact if
+/// the normal is an axis of the grid; otherwise its errors cancel on average. The fractions for
+/// several planes are multiplied, which is exact if these planes are perpendicular.
+fn fraction_left(bounds: &[Bound], centre: DVec3, spacing: DVec3) -> f64 {
+    let left = |bound: &Bound| (0.5 - bound.distance(centre) / bound.normal.abs().dot(spacing)).clamp(0.0, 1.0);
+    bounds.iter().map(left).product()
 }
 
 /// Returns the material of each node and the distance (mm) from the nearest interface, at most
@@ -333,5 +340,25 @@ impl Sums {
         let weight = gradient.try_normalize().map_or(1.0 / 3f64.sqrt(), |normal| normal[axis].abs());
         let pair = self.pairs.entry([i.min(j), i.max(j)]).or_default();
         *pair = (pair.0 + face * weight, pair.1 + 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fractions_of_voxels_sum_to_the_volume_that_a_plane_leaves() {
+        let spacing = DVec3::new(1.0, 0.5, 2.0);
+        let bound = |normal: DVec3, at: f64| {
+            let normal = normal.normalize();
+            [Bound { name: String::new(), point: DVec3::new(10.0, 5.0, 20.0) + at * normal, normal }]
+        };
+        let sum = |bounds: &[Bound]| -> f64 {
+            let centres = (0..8000).map(|n| DVec3::new((n % 20) as f64, (n / 20 % 20) as f64, (n / 400) as f64) + 0.5);
+            centres.map(|at| fraction_left(bounds, at * spacing, spacing)).sum()
+        };
+        assert!((sum(&bound(DVec3::X, 0.3)) - 8000.0 * 10.3 / 20.0).abs() < 1e-9);
+        assert!((sum(&bound(DVec3::new(1.0, 2.0, 0.5), 0.0)) / 4000.0 - 1.0).abs() < 1e-3);
     }
 }
