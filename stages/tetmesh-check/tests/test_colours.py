@@ -71,6 +71,6 @@ def test_many_materials_differ_from_their_neighbours() -> None:
 def test_the_material_of_an_object_with_planes_has_its_labels() -> None:
     table = [("outside", [0]), ("object", [1, 2])]
     materials = [{"name": name, "labels": [{"label": own, "layer": 0} for own in labels]} for name, labels in table]
-    case = SimpleNamespace(reports={"distfield": {"parameters": {"labels": "1,2", "materials": materials}}})
+    case = SimpleNamespace(reports={"distfield": {"parameters": {"labels": [1, 2], "materials": materials}}})
     (entry,) = key_of(case, volume_with_ball(labels=True), None)  # type: ignore[arg-type]
     assert (entry.name, entry.labels, entry.meshed) == ("object", (1, 2), True)

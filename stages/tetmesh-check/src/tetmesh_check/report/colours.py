@@ -103,13 +103,7 @@ class Entry:
 
 
 def _labels(entries: Any) -> tuple[int, ...]:
-    """Return the labels of the first layer in a list of labels of a report.
-
-    For an object that ends at planes, the entry is a text such as ``1,2``; the table of materials
-    lists its labels.
-    """
-    if isinstance(entries, str):
-        return ()
+    """Return the labels of the first layer in a list of labels of a report."""
     found = [entry if isinstance(entry, dict) else {"label": entry, "layer": 0} for entry in entries or []]
     return tuple(int(entry["label"]) for entry in found if entry["layer"] == 0)
 
