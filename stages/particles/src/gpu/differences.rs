@@ -215,24 +215,22 @@ fn node_position(materials: &Materials, brick: usize, nodes: [f64; 3]) -> DVec3 
 /// Returns the interfaces of materials and the spaces beyond planes that cross a brick.
 fn entries_at_planes(materials: &Materials, interfaces: &[Stratum], planes: &Planes, brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
-    let fill = materials.fill()[brick];
-    let is_filled = fill != NO_MATERIAL;
-    let filling =
-        is_filled.then_some((MaterialId(fill), usize::MAX)).filter(|own| known.clone().all(|(id, _)| id != own.0));
+    let fill = Some(materials.fill()[brick]).filter(|&fill| fill != NO_MATERIAL).map(MaterialId);
+    // the brick does not store the indicator of a material deep inside it
+    let deep = fill.filter(|&fill| known.clone().all(|(id, _)| id != fill));
     let mut entries = Vec::new();
-    for (&beyond, (id, number)) in
-        planes.crossing.iter().flat_map(|beyond| known.clone().chain(filling).map(move |own| (beyond, own)))
-    {
-        let Ok(interface) = interfaces.binary_search(&Stratum::interface(id, beyond)) else { continue };
-        let is_filled_by_other = is_filled && fill != id.0;
-        let others = known.clone().filter(|other| other.0 != id && number != usize::MAX);
-        let check = |other: (MaterialId, usize)| {
-            let pair = Pair::new(brick, other, (id, number));
-            Check { pair, is_negative: other.0 < id, near: known_cells(materials, &pair) }
-        };
-        let checks = (!is_filled_by_other && !planes.is_beyond)
-            .then(|| others.map(check).chain(planes.checks(brick, id, beyond)).collect());
-        entries.push(Entry { interface: interface as u32, pair: Pair::at_plane(brick, id, beyond), checks });
+    for (id, own) in known.clone().map(|own| (own.0, Some(own))).chain(deep.map(|id| (id, None))) {
+        let is_real = !planes.is_beyond && fill.is_none_or(|fill| fill == id);
+        // deep inside a material, no other one is as close
+        let others = own.map_or_else(Vec::new, |own| {
+            known.clone().filter(|other| other.0 != id).map(|other| Pair::new(brick, other, own)).collect()
+        });
+        let check = |&pair: &Pair| Check { pair, is_negative: pair.high == id.0, near: known_cells(materials, &pair) };
+        for &beyond in &planes.crossing {
+            let Ok(interface) = interfaces.binary_search(&Stratum::interface(id, beyond)) else { continue };
+            let checks = is_real.then(|| others.iter().map(check).chain(planes.checks(brick, id, beyond)).collect());
+            entries.push(Entry { interface: interface as u32, pair: Pair::at_plane(brick, id, beyond), checks });
+        }
     }
     entries
 }
