@@ -133,8 +133,9 @@ pub struct SizeMeta {
     pub version: u32,
     /// Number of components of the surface.
     pub components: usize,
-    /// Number of particles predicted from h.
-    pub predicted_count: f64,
+    /// Number of particles predicted from h; `None` for a field that was only updated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub predicted_count: Option<f64>,
     /// Information for users: the distributions of h, of the local feature size and of the noise.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
@@ -223,7 +224,7 @@ mod tests {
         assert_eq!(read::<DistanceMeta>(&Value::Null).expect("no note"), DistanceMeta::default());
         let size: SizeMeta =
             read(&json!({"components": 2, "predicted_count": 812.0, "noise": {"min": 0.0}})).expect("h");
-        assert_eq!((size.components, size.predicted_count, size.notes.len()), (2, 812.0, 1));
+        assert_eq!((size.components, size.predicted_count, size.notes.len()), (2, Some(812.0), 1));
         let materials: MaterialsMeta = read(&json!({"version": 1, "border": "open", "margin": 5})).expect("materials");
         assert_eq!((materials.border, materials.margin, materials.notes.len()), (Some(Border::Open), Some(5), 0));
         let surface: SurfaceMeta =

@@ -1,7 +1,7 @@
 //! Command-line options of the `sizefield` program, and the defaults of the quality levels.
 
 use crate::limits::check_bounds;
-use crate::region::{Refinement, SizedNode};
+use crate::region::{Region, SizedNode};
 use crate::{MIN_PARTICLES, Parameters};
 use clap::Parser;
 use isoparticles_stage::cli::check::Known;
@@ -112,7 +112,17 @@ pub struct Args {
     /// repeated. All positions and lengths are in world coordinates, mm. Outside the refined
     /// regions, h grows by at most delta per mm. The limit may be below --min-size
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
-    pub(crate) refine: Vec<Refinement>,
+    pub(crate) refine: Vec<Region>,
+    /// Afterwards, set h to H in a region, with the forms of --refine; may be repeated, and takes
+    /// effect in the given order. H may also be larger than h. Near the border of the region, h
+    /// stays within delta of h outside
+    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
+    pub(crate) resize: Vec<Region>,
+    /// Start from this size field instead of computing one, and apply only --resize. h keeps its
+    /// value, bit for bit, except in the regions and a rim around them
+    #[arg(long, value_name = "S.vti", requires = "resize", help_heading = FILES,
+        conflicts_with_all = ["quality", "epsilon", "min_size", "max_size", "max_deviation", "scale", "size", "uniform", "vertices", "refine"])]
+    pub(crate) update: Option<PathBuf>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -131,8 +141,14 @@ impl StageArgs for Args {
             Some(size) => json!({ "uniform": size }),
             None => json!({ "quality": self.quality().name(), "scale": self.scale, "refine": self.refine }),
         };
+        if self.update.is_some() {
+            parameters = json!({});
+        }
         if !self.size.is_empty() {
             parameters["size"] = json!(self.size);
+        }
+        if !self.resize.is_empty() {
+            parameters["resize"] = json!(self.resize);
         }
         if let Some(vertices) = self.vertices {
             parameters["vertices"] = json!(vertices);
@@ -145,9 +161,8 @@ impl StageArgs for Args {
             check_bounds((min, max), "")?;
         }
         self.refuse_refined_constant()?;
-        for file in self.refine.iter().filter_map(Refinement::file) {
-            std::fs::metadata(file)
-                .map_err(|error| Error::file(file, "read", &error, "check the file name in --refine"))?;
+        for file in self.refine.iter().chain(&self.resize).filter_map(Region::file) {
+            std::fs::metadata(file).map_err(|error| Error::file(file, "read", &error, "check the name of the file"))?;
         }
         match &known.materials {
             Some(names) if names.is_empty() => self.refuse_sizes()?,
@@ -161,6 +176,11 @@ impl StageArgs for Args {
 impl Args {
     pub(crate) fn quality(&self) -> Quality {
         self.quality.unwrap_or(Quality::Medium)
+    }
+
+    /// Returns the bound on |grad h|.
+    pub(crate) fn delta(&self) -> f64 {
+        self.delta.unwrap_or(Defaults::of(self.quality()).delta)
     }
 
     /// Rejects the combination of `--uniform` and `--refine`.
@@ -197,7 +217,7 @@ impl Args {
         let deviation = self.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
         let parameters = Parameters {
             epsilon: self.epsilon.unwrap_or(defaults.epsilon),
-            delta: self.delta.unwrap_or(defaults.delta),
+            delta: self.delta(),
             min_size,
             max_size: self.max_size.unwrap_or(largest.max(min_size)),
             max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },

@@ -18,6 +18,7 @@ pub mod noise;
 pub mod patch;
 pub mod region;
 mod report;
+pub mod resize;
 pub mod run;
 mod scheme;
 pub mod vertices;

@@ -1,6 +1,5 @@
-//! Refines h where the user requests it: in balls, at the nonzero voxels of a mask volume, or at
-//! points with sizes (section 7 of the paper: more particles in regions of interest). Outside a
-//! region, h increases with slope delta.
+//! Regions in which the user sets h (`--refine`, `--resize`): balls, the nonzero voxels of a mask
+//! volume, or points with sizes (section 7 of the paper: more particles in regions of interest).
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
@@ -13,43 +12,43 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A region to refine, as given by the user.
+/// A region with its h, as given by the user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Refinement {
+pub enum Region {
     /// A ball.
     Ball(Ball),
     /// The nonzero voxels of a volume.
     Mask {
         /// The volume, placed by its world coordinates. Its grid may differ from the grid of F.
         file: PathBuf,
-        /// Maximum h in the region, mm.
+        /// h in the region, mm.
         size: f64,
     },
-    /// Points with an array `h` that contains the maximum h in mm around each point.
+    /// Points with an array `h` that contains h in mm around each point.
     Points {
         /// The file (.vtp or .vtu), in world coordinates.
         file: PathBuf,
     },
 }
 
-/// A ball in which h is at most `size`.
+/// A ball.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ball {
     /// Centre in world coordinates of F, mm.
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Maximum h in the region, mm.
+    /// h in the region, mm.
     pub size: f64,
 }
 
-/// A node of the grid, and the maximum h in mm at the node.
+/// A node of the grid, and h in mm at the node.
 pub type SizedNode = (usize, f64);
 
 const FORMS: &str = "write it as ball:X,Y,Z,RADIUS=H (mm), mask:FILE=H (mm) or points:FILE";
 
-impl FromStr for Refinement {
+impl FromStr for Region {
     type Err = String;
 
     /// Parses `ball:X,Y,Z,RADIUS=H`, `mask:FILE=H` or `points:FILE`.
@@ -76,7 +75,7 @@ impl FromStr for Refinement {
     }
 }
 
-impl Refinement {
+impl Region {
     /// Returns the file of the region, if there is one.
     pub fn file(&self) -> Option<&Path> {
         match self {
@@ -85,7 +84,7 @@ impl Refinement {
         }
     }
 
-    /// Returns the grid nodes that the region refines.
+    /// Returns the grid nodes in the region.
     ///
     /// # Errors
     /// If the file of the region cannot be read, or if the region lies outside the grid.
@@ -111,7 +110,7 @@ impl Refinement {
                 Self::Points { file } => format!("{}: has no points, or all of them are", file.display()),
             };
             return Err(Error::input(
-                format!("--refine: {what} outside the grid of F"),
+                format!("{what} outside the grid of F"),
                 "it would have no effect",
                 format!(
                     "use world coordinates in mm, as in the meshes{}: the grid covers {}; \
@@ -203,22 +202,20 @@ impl Ball {
     }
 }
 
-/// Returns the nodes of all `--refine` options, and adds their files to the inputs.
-pub(crate) fn refined_nodes(
-    refinements: &[Refinement],
-    geometry: &Geometry,
-    context: &Context,
-) -> Result<Vec<SizedNode>> {
-    let mut refined = Vec::new();
-    for refinement in refinements {
-        let nodes = refinement.nodes(geometry)?;
-        if let Some(file) = refinement.file() {
-            context.add_input(file, None)?;
-            context.info(format!("--refine {}: {} grid nodes", file.display(), nodes.len()));
-        }
-        refined.extend(nodes);
+/// Returns the nodes of a region, and adds its file to the inputs.
+pub(crate) fn sized_nodes(region: &Region, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
+    let nodes = region.nodes(geometry)?;
+    if let Some(file) = region.file() {
+        context.add_input(file, None)?;
+        context.info(format!("{}: {} grid nodes", file.display(), nodes.len()));
     }
-    Ok(refined)
+    Ok(nodes)
+}
+
+/// Returns the nodes of several regions together.
+pub(crate) fn refined_nodes(regions: &[Region], geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
+    let nodes = regions.iter().map(|region| sized_nodes(region, geometry, context));
+    Ok(nodes.collect::<Result<Vec<_>>>()?.concat())
 }
 
 #[cfg(test)]
@@ -231,18 +228,18 @@ mod tests {
 
     #[test]
     fn text_is_read_or_refused_with_the_form() {
-        let ball: Refinement = "ball:1,-2.5, 3,4=0.5".parse().unwrap();
-        assert_eq!(ball, Refinement::Ball(Ball { centre: DVec3::new(1.0, -2.5, 3.0), radius: 4.0, size: 0.5 }));
-        let mask: Refinement = "mask:a=b:c.nrrd=0.5".parse().unwrap();
-        assert_eq!(mask, Refinement::Mask { file: "a=b:c.nrrd".into(), size: 0.5 });
-        let points: Refinement = "points:p=1.vtp".parse().unwrap();
-        assert_eq!(points, Refinement::Points { file: "p=1.vtp".into() });
+        let ball: Region = "ball:1,-2.5, 3,4=0.5".parse().unwrap();
+        assert_eq!(ball, Region::Ball(Ball { centre: DVec3::new(1.0, -2.5, 3.0), radius: 4.0, size: 0.5 }));
+        let mask: Region = "mask:a=b:c.nrrd=0.5".parse().unwrap();
+        assert_eq!(mask, Region::Mask { file: "a=b:c.nrrd".into(), size: 0.5 });
+        let points: Region = "points:p=1.vtp".parse().unwrap();
+        assert_eq!(points, Region::Points { file: "p=1.vtp".into() });
         let wrongs = ["", "ball:1,2,3=1", "ball:1,2,3,4", "box:1,2,3,4=1", "ball:1,2,x,4=1", "ball:1,2,3,inf=1"];
         for wrong in wrongs.into_iter().chain(["points:", "mask:a.nrrd", "mask:=1", "mask:a.nrrd=NaN"]) {
-            assert!(wrong.parse::<Refinement>().unwrap_err().contains("ball:X,Y,Z,RADIUS=H"), "{wrong}");
+            assert!(wrong.parse::<Region>().unwrap_err().contains("ball:X,Y,Z,RADIUS=H"), "{wrong}");
         }
         for wrong in ["ball:1,2,3,0=1", "ball:1,2,3,4=-1", "mask:a.nrrd=0"] {
-            assert!(wrong.parse::<Refinement>().unwrap_err().contains("above 0"), "{wrong}");
+            assert!(wrong.parse::<Region>().unwrap_err().contains("above 0"), "{wrong}");
         }
     }
 
@@ -254,7 +251,7 @@ mod tests {
         let mut volume = Volume::new(Geometry::axis_aligned([3, 3, 3], DVec3::ONE), voxels(0));
         volume.more_layers.push(voxels(26));
         write_volume(&file, &volume, &Context::silent("distfield").history()).unwrap();
-        let mask = Refinement::Mask { file, size: 0.5 };
+        let mask = Region::Mask { file, size: 0.5 };
         let nodes = mask.nodes(&volume.geometry).unwrap();
         assert!(nodes.contains(&(0, 0.5)) && nodes.contains(&(26, 0.5)), "{nodes:?}");
         let anatomical = Geometry { space: Space::Lps, ..volume.geometry };
@@ -270,7 +267,7 @@ mod tests {
         assert_eq!(ball.nodes(&geometry).collect::<Vec<_>>(), want);
         let tiny = Ball { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
         assert!(tiny.nodes(&geometry).count() >= 8);
-        let elsewhere = Refinement::Ball(Ball { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 });
+        let elsewhere = Region::Ball(Ball { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 });
         let error = elsewhere.nodes(&geometry).unwrap_err();
         assert!(error.what.contains("outside the grid of F"), "{error}");
         assert!(error.next.contains("the grid covers x 0 to 19, y 0 to 9.5, z 0 to 38 mm"), "{error}");
@@ -289,7 +286,7 @@ mod tests {
         let history = Context::silent("reconstruct").history();
         write_surface(&file, &surface, &serde_json::Value::Null, &history).unwrap();
         let ras = lps.clone().in_space(Space::Ras);
-        let points = Refinement::Points { file };
+        let points = Region::Points { file };
         assert_eq!(points.nodes(&ras).unwrap(), points.nodes(&lps).unwrap());
         let ball = |x, y| Ball { centre: DVec3::new(x, y, 14.0), radius: 3.0, size: 0.5 };
         let nodes: Vec<usize> = ball(5.0, 20.0).nodes(&lps).collect();
@@ -324,13 +321,13 @@ mod tests {
         // from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, and in z from 5.4 to 7.4
         let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
-        let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
+        let found = Region::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
         // a mask in LPS lies at the same place in a field in RAS
         field(Space::Lps).write(&file).unwrap();
         let lps = Geometry { space: Space::Lps, ..geometry.clone() };
         for space in [Space::Lps, Space::Ras] {
             let own = lps.clone().in_space(space);
-            assert_eq!(Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&own).unwrap(), found);
+            assert_eq!(Region::Mask { file: file.clone(), size: 0.5 }.nodes(&own).unwrap(), found);
         }
         for n in 0..geometry.voxel_count() {
             let p = geometry.node_to_grid(n);
@@ -345,6 +342,6 @@ mod tests {
             }
         }
         let far = Geometry { origin: DVec3::splat(500.0), ..geometry };
-        assert!(Refinement::Mask { file, size: 0.5 }.nodes(&far).is_err());
+        assert!(Region::Mask { file, size: 0.5 }.nodes(&far).is_err());
     }
 }

@@ -59,7 +59,7 @@ pub(crate) fn describe(
     let meta = SizeMeta {
         version: meta::VERSION,
         components: features.component_area.len(),
-        predicted_count: predicted.round(),
+        predicted_count: Some(predicted.round()),
         notes: notes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
     };
     context.summary("components", features.component_area.len());

@@ -8,6 +8,7 @@ use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{check_bounds, check_count, check_size, too_small, too_small_told};
 use crate::region::{SizedNode, refined_nodes};
 use crate::report::{describe, noise_told, warn_if_too_coarse};
+use crate::resize::resized_by;
 use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
 use crate::{Parameters, lowered, size_field, uniform_field, wanted_sizes};
 use glam::DVec3;
@@ -18,11 +19,12 @@ use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{Field, FieldKind};
+use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_volume::Image;
 use serde_json::json;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Maximum radius of medial balls in units of the diagonal of the volume. With the defaults of
 /// every quality level, feature sizes above 0.2 times the object's diagonal (`maximum h / epsilon`)
@@ -36,10 +38,20 @@ const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     args.refuse_refined_constant()?;
     let step = context.step("read");
-    let distance = DistanceField::read(&args.input)?;
-    context.add_input(&args.input, distance.history().cloned())?;
-    drop(step);
-    let made = compute(args, &distance, context)?;
+    let made = match &args.update {
+        Some(path) => {
+            let previous = read_field(path, FieldKind::Sizing)?;
+            context.add_input(path, previous.history.clone())?;
+            drop(step);
+            update(args, &previous, context)?
+        }
+        None => {
+            let distance = DistanceField::read(&args.input)?;
+            context.add_input(&args.input, distance.history().cloned())?;
+            drop(step);
+            compute(args, &distance, context)?
+        }
+    };
     let _step = context.step("write");
     made.write(&args.output)?;
     Ok(Outcome::Passed)
@@ -61,12 +73,31 @@ pub fn compute(args: &Args, distance: &DistanceField, context: &Context) -> Resu
     Ok(Field { image, meta, history, kind: FieldKind::Sizing })
 }
 
+/// Returns a sizing field after the changes of `--resize`. Without `--delta`, the delta of the
+/// previous field applies.
+///
+/// # Errors
+/// If a file of `--resize` cannot be read, or if a region lies outside the grid.
+pub fn update(args: &Args, previous: &Field, context: &Context) -> Result<Field> {
+    let of_previous = previous.history.as_ref().and_then(|history| history.parameters["delta"].as_f64());
+    let delta = args.delta.or(of_previous).unwrap_or_else(|| args.delta());
+    context.set_parameter("delta", delta);
+    let sizing = resized_by(args, delta, SizingField::new(Arc::clone(&previous.image)), context)?;
+    let before: SizeMeta = meta::typed(args.update.as_deref().unwrap_or(&args.input), &previous.meta, "sizefield")?;
+    // the measurements of the surface remain valid; those of h do not
+    let notes = before.notes.into_iter().filter(|(name, _)| name != "size_at_surface" && name != "too_small").collect();
+    let meta = SizeMeta { version: meta::VERSION, components: before.components, predicted_count: None, notes };
+    let (image, meta, history) = (sizing.into_image(), json!(meta), Some(context.history()));
+    Ok(Field { image, meta, history, kind: FieldKind::Sizing })
+}
+
 /// Computes the sizing field of one object, and the metadata of its file.
 fn of_object(args: &Args, field: &Field, context: &Context) -> Result<(SizingField, SizeMeta)> {
     args.refuse_sizes()?;
     let input = Input::new(field, context)?;
     let measured = measure(args, &input, context)?;
     let (sizing, lowered) = sized(args, &input, &measured, context)?;
+    let sizing = resized_by(args, args.delta(), sizing, context)?;
     let (features, geometry) = (&measured.features, &input.field.image.geometry);
     if let Some(told) = noise_told(&features.noise, geometry.spacing) {
         context.info(told);
@@ -81,7 +112,7 @@ fn of_object(args: &Args, field: &Field, context: &Context) -> Result<(SizingFie
         let told = format!("lowered to {} on {components} small components", significant(size));
         context.summary("  below the minimum h", told);
     }
-    check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
+    check_count(&args.input, predicted, geometry.voxel_count(), context)?;
     if let Some(size) = measured.one_size {
         warn_if_too_coarse(features, geometry, size, context);
     }
@@ -189,7 +220,7 @@ fn sized(
 fn predicted(args: &Args, input: &Input<'_>, measured: &Measured, sizing: &SizingField, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     // if --vertices determines a constant h, the number of vertices determines the predicted count
-    if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some()) {
+    if let Some(vertices) = args.vertices.filter(|_| measured.one_size.is_some() && args.resize.is_empty()) {
         return predicted_for(vertices as f64);
     }
     // the sum over triangles misses features that lie between the samples; a smooth surface has

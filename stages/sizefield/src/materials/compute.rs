@@ -6,6 +6,7 @@ use crate::args::{Args, Defaults};
 use crate::limits::{check_bounds, check_count};
 use crate::region::refined_nodes;
 use crate::report::percentiles;
+use crate::resize::resized_by;
 use crate::vertices::{scaled_to_count, size_for_count};
 use crate::{Parameters, SMALLEST_SHARE, Samples, graded_field};
 use glam::DVec3;
@@ -59,6 +60,7 @@ pub(crate) fn compute(args: &Args, materials: &Materials, context: &Context) -> 
             }
         }
     };
+    let sizing = resized_by(args, args.delta(), sizing, context)?;
     let step = context.step("predict the count");
     let predicted = count(&sizing);
     drop(step);
@@ -236,7 +238,7 @@ fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &C
     let meta = SizeMeta {
         version: meta::VERSION,
         components,
-        predicted_count: predicted.round(),
+        predicted_count: Some(predicted.round()),
         notes: notes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
     };
     context.summary("components of interfaces", components);
