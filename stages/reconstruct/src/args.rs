@@ -31,12 +31,12 @@ use std::path::{Path, PathBuf};
 #[command(
     name = "reconstruct",
     version,
-    after_help = "Exit code 1: the mesh was written, but a check failed. NAME.offending.vtp, in the same folder, contains the simplices that caused the failure.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
+    after_help = "Exit code 1: the mesh was written, but a check failed. NAME.offending.vtp, in the same folder, contains the simplices that caused the failure.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp\n  reconstruct --update tooth.surface.vtp --distfield tooth.distfield.vti --sizefield finer.sizefield.vti -o finer.surface.vtp"
 )]
 pub struct Args {
-    /// Particles to connect, written by `particles` or `seed`. --method tight-cocone also reads
-    /// point clouds, with or without normals: .ply, .vtp, or .xyz (lines `x y z` or `x y z nx ny
-    /// nz`)
+    /// Particles to connect, written by `particles` or `seed`; with --update, a finished surface.
+    /// --method tight-cocone also reads point clouds, with or without normals: .ply, .vtp, or .xyz
+    /// (lines `x y z` or `x y z nx ny nz`)
     #[arg(value_name = "P.bin", help_heading = FILES)]
     pub particles: PathBuf,
     /// Distance field F of the particles, mm; required by --method restricted. Without it, vertices
@@ -46,6 +46,11 @@ pub struct Args {
     /// Size field h on the grid of F, mm [default: the h stored with each particle]
     #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
+    /// Change the surface P.bin, a .vtp file that reconstruct has written, where h of --sizefield
+    /// differs from h at its vertices. Vertices more than a few edges away from there keep their
+    /// positions, bit for bit
+    #[arg(long, requires = "sizefield", conflicts_with_all = ["method", "space", "max_rounds"], help_heading = FILES)]
+    pub update: bool,
     /// Surface file to write: .vtp with all data, or .ply, .stl, .obj or .vtk
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
@@ -151,6 +156,12 @@ impl StageArgs for Args {
             Method::Restricted => "restricted",
             Method::TightCocone => "tight-cocone",
         };
+        if self.update {
+            return json!({
+                "update": true, "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps,
+                "min_radius_ratio": self.radius_ratio_bar(), "accept_forced": self.accept_forced, "max_vertex_distance": self.max_vertex_distance,
+            });
+        }
         json!({
             "method": method, "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
             "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps,

@@ -391,7 +391,7 @@ impl Checker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruct::ObjectTruth;
+    use crate::complete::ObjectTruth;
     use isoparticles_field::spline::CubicSpline;
     use isoparticles_mesh::shapes;
     use isoparticles_volume::Image;

@@ -1,13 +1,16 @@
 //! Reads the input files and records them in the history.
 
 use crate::args::Args;
+use crate::update::Reference;
 use isoparticles_mesh::point_cloud::{PointCloud, is_point_cloud, read_point_cloud};
+use isoparticles_mesh::surface::{SurfaceFile, read_surface};
 use isoparticles_stage::cli::Context;
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use isoparticles_stage::particle_file::{ParticleFile, ParticleKind, read_particles};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The contents of the input files. All numbers are finite.
 #[expect(clippy::large_enum_variant, reason = "a run has only one value")]
@@ -24,6 +27,17 @@ pub enum Inputs {
         distance: DistanceField,
         /// Target edge length h on the grid of the field, if given.
         sizing: Option<Field>,
+    },
+    /// A finished surface to update.
+    Surface {
+        /// The surface in world coordinates.
+        previous: SurfaceFile,
+        /// The field from which the surface was made.
+        distance: DistanceField,
+        /// The new target edge length h on the grid of the field.
+        sizing: Field,
+        /// What an earlier update has derived from `distance`, if there was one.
+        reference: Option<Arc<Reference>>,
     },
 }
 
@@ -43,16 +57,49 @@ impl Inputs {
             return Ok(Self::Cloud(cloud));
         };
         let sizing = || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose();
-        let (particles, (distance, sizing)) =
-            rayon::join(|| particles(args, context), || rayon::join(|| DistanceField::read(distfield), sizing));
-        let (particles, distance, sizing) = (particles?, distance?, sizing?);
+        let fields = || rayon::join(|| DistanceField::read(distfield), sizing);
+        let (start, (distance, sizing)) = rayon::join(|| Start::read(args, context), fields);
+        let (start, distance, sizing) = (start?, distance?, sizing?);
         let field = (&**distfield, distance.history().cloned());
         match (&args.sizefield, &sizing) {
             (Some(path), Some(sizing)) => drop(context.add_inputs([field, (path, sizing.history.clone())])?),
             _ => drop(context.add_inputs([field])?),
         }
-        Ok(Self::Field { particles, distance, sizing })
+        match (start, sizing) {
+            (Start::Surface(previous), Some(sizing)) => {
+                Ok(Self::Surface { previous, distance, sizing, reference: None })
+            }
+            (Start::Surface(_), None) => Err(no_size(args)),
+            (Start::Particles(particles), sizing) => Ok(Self::Field { particles, distance, sizing }),
+        }
     }
+}
+
+/// What the work starts from.
+#[expect(clippy::large_enum_variant, reason = "a run has only one value")]
+enum Start {
+    Particles(ParticleFile),
+    Surface(SurfaceFile),
+}
+
+impl Start {
+    fn read(args: &Args, context: &Context) -> Result<Self> {
+        if !args.update {
+            return particles(args, context).map(Self::Particles);
+        }
+        let file = read_surface(&args.particles)?;
+        context.add_input(&args.particles, file.history.clone())?;
+        Ok(Self::Surface(file))
+    }
+}
+
+/// Returns the error of an update without a size field.
+fn no_size(args: &Args) -> Error {
+    Error::input(
+        format!("{}: --update without a size field", args.particles.display()),
+        "the size field shows where the surface must change",
+        "pass --sizefield S.vti, which sizefield --update writes",
+    )
 }
 
 /// Reads the particles and records them as an input.

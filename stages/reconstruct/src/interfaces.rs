@@ -88,6 +88,22 @@ impl Interfaces {
         all
     }
 
+    /// Returns the edges of triangles of different interfaces, ascending, each with the materials of
+    /// its triangles (the first four if there are more).
+    pub fn edges_of_curves(&self) -> Vec<(Segment, Stratum)> {
+        let curve = |own: &[(Segment, u32)]| {
+            let mut ids: Vec<MaterialId> = own.iter().flat_map(|(_, t)| self.between[*t as usize]).collect();
+            ids.sort_unstable();
+            ids.dedup();
+            Some((own[0].0, Stratum::new(&ids[..ids.len().min(4)])?))
+        };
+        let edges = self.edges();
+        let differs = |own: &&[(Segment, u32)]| {
+            own.iter().any(|(_, t)| self.between[*t as usize] != self.between[own[0].1 as usize])
+        };
+        edges.chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2 || differs(own)).filter_map(curve).collect()
+    }
+
     /// Returns each vertex together with each of its interfaces, ascending.
     pub fn pairs_at_vertices(&self) -> Vec<(u32, [MaterialId; 2])> {
         let mut first = vec![None; self.mesh.vertices.len()];

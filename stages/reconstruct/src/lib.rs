@@ -13,12 +13,15 @@
 //! | refinement, priority queue of violations | [`refine`], [`queue`] |
 //! | mesh with materials, separation of parts that touch | [`interfaces`] |
 //! | improvement of the triangles | [`improve`] |
+//! | improvement and checks of one object, in this order | `complete` |
+//! | update where h has changed | [`update`] |
 //! | checks, comparison with the topology of F | [`check`], [`verdict`] |
 //! | data on vertices and triangles | [`finish`] |
 
 pub mod args;
 mod around;
 pub mod check;
+mod complete;
 pub mod defects;
 pub mod finish;
 mod held;
@@ -46,6 +49,7 @@ mod scenes;
 #[cfg(test)]
 mod tests;
 pub mod tight_cocone;
+pub mod update;
 pub mod verdict;
 mod volumes;
 

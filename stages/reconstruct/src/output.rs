@@ -128,9 +128,8 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
 }
 
 /// Adds the rows of the closing table that one object and many materials share. `expected` is
-/// appended to the number of components of one object. `particles` are the numbers of used and
-/// unused particles.
-pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, particles: [usize; 2], context: &Context) {
+/// appended to the number of components of one object.
+pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, context: &Context) {
     let (quality, junctions) = (&checked.quality, &checked.junctions);
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
     if let [object] = &checked.regions[..] {
@@ -148,7 +147,6 @@ pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, particles: [u
             format!("{edges}, {points}; {missing} of {} segments missing", junctions.segments),
         );
     }
-    context.summary("particles used, not used", format!("{}, {}", particles[0], particles[1]));
     context.summary(
         "radius ratio",
         format!("mean {:.4}, minimum {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),

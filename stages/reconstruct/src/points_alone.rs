@@ -99,7 +99,9 @@ pub(crate) fn compute(args: &Args, points: Points, file: Option<Space>, context:
     context.report("cocone", json!(cocone));
     context.report("parted_vertices", parted);
     context.report("check", json!(checked));
-    describe_mesh(&checked, "", [points.positions.len(), points.report.dropped()], context);
+    describe_mesh(&checked, "", context);
+    let dropped = points.report.dropped();
+    context.summary("particles used, not used", format!("{}, {dropped}", points.positions.len()));
     context.summary("improvement, comparison with F", skipped);
 
     let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();

@@ -9,16 +9,17 @@ use crate::input::{about, warn_unless_settled};
 use crate::materials;
 pub use crate::materials::each::{MaterialSurface, MaterialSurfaces};
 use crate::offending::offending;
-use crate::options::Method;
+use crate::options::{Method, Options};
 pub use crate::output::Made;
 use crate::output::{check_offenders, describe_mesh};
 use crate::points_alone::{self, Points};
-use crate::reconstruct::{Reconstruction, reconstruct};
+use crate::reconstruct::{Joining, Reconstruction, reconstruct};
+use crate::update::{Reference, update};
 use crate::volumes;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
-use isoparticles_mesh::surface::check_surface_name;
+use isoparticles_mesh::surface::{SurfaceFile, check_surface_name};
 use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
@@ -53,7 +54,7 @@ fn check_files(args: &Args) -> Result<()> {
             "--method restricted needs it to separate inside from outside",
             "pass --distfield F.vti, or use --method tight-cocone to mesh the points without a field",
         )),
-        (Some(field), _) if is_point_cloud(&args.particles) => Err(Error::input(
+        (Some(field), _) if !args.update && is_point_cloud(&args.particles) => Err(Error::input(
             format!("{particles}: is a point cloud, but {} is the distance field of a volume", field.display()),
             "a point cloud has no position in the grid of the field",
             "omit --distfield and use --method tight-cocone, or pass the particles made from the field",
@@ -90,6 +91,54 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
             }
             compute_on_field(args, &particles, &distance, sizing.as_ref(), context)
         }
+        Inputs::Surface { previous, distance, sizing, reference } => {
+            let space = previous.surface.space;
+            let reference = reference.filter(|_| distance.geometry().space == space);
+            let distance = distance.in_space(space);
+            let reference = reference.map_or_else(|| Reference::new(&distance, context).map(Arc::new), Ok)?;
+            compute_update(args, &previous, (&distance, &reference), &sizing.in_space(space), context)
+        }
+    }
+}
+
+/// Computes the surface from a previous one, in the world frame of the latter.
+fn compute_update(
+    args: &Args,
+    previous: &SurfaceFile,
+    (distance, reference): (&DistanceField, &Reference),
+    sizing: &Field,
+    context: &Context,
+) -> Result<Made> {
+    let ([path, size_path], geometry) = (args.field_names(), distance.geometry());
+    if previous.surface.space != geometry.space {
+        return Err(Error::input(
+            format!("{}: is not in the same space as {}", args.particles.display(), path.display()),
+            "their positions cannot be compared",
+            "pass the distance field from which the surface was made",
+        ));
+    }
+    check_same_grid((size_path, &sizing.image.geometry), (path, geometry))?;
+    context.set_parameter("space", parameter(geometry.space));
+    let count = previous.surface.mesh.vertices.len();
+    context.check_memory(
+        particles_bytes(count as f64, geometry.voxel_count()),
+        &format!("{}: {count} vertices", args.particles.display()),
+        "raise --max-memory",
+    )?;
+    let sizing = SizingField::new(Arc::clone(&sizing.image));
+    let surface = &previous.surface;
+    match (distance, reference) {
+        (DistanceField::Object(field), Reference::Object(spline, topology)) => {
+            let told: DistanceMeta = meta::typed(path, &field.meta, "distfield")?;
+            let options = args.options(&told);
+            let made = update(surface, &field.image, (spline, topology), &sizing, &options, context)
+                .map_err(|error| about(&args.particles, error))?;
+            finished(made, &told, &options, context)
+        }
+        (DistanceField::Materials(given), Reference::Materials(nodes)) => {
+            materials::compute::compute_update(args, surface, (given, nodes), &sizing, context)
+        }
+        _ => unreachable!("the reference of another field"),
     }
 }
 
@@ -123,12 +172,10 @@ fn compute_on_field(
         check_same_grid((size_path, &sizing.image.geometry), (path, geometry))?;
     }
     let sizing = sizing.map(|field| SizingField::new(Arc::clone(&field.image)));
-    let made = match distance {
+    match distance {
         DistanceField::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
         DistanceField::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),
-    }?;
-    context.report("volumes", made.meta.notes["volumes"].clone());
-    Ok(made)
+    }
 }
 
 /// Meshes one object.
@@ -143,12 +190,19 @@ fn of_object(
     let options = args.options(&told);
     let made = reconstruct(particles, &field.image, sizing, &options, context)
         .map_err(|error| about(&args.particles, error))?;
+    finished(made, &told, &options, context)
+}
+
+/// Adds the results for one object to the report, and returns the surface with its data.
+fn finished(made: Reconstruction, told: &DistanceMeta, options: &Options, context: &Context) -> Result<Made> {
     context.check_interrupt()?;
     tell(&made, context);
-
-    let volumes = volumes::of_object(&told, made.checked.object().volume);
-    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined)), ("volumes", json!(volumes))];
-    let surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
+    let volumes = json!(volumes::of_object(told, made.checked.object().volume));
+    context.report("volumes", volumes.clone());
+    let refined = made.joining.as_ref().map(|joining| ("refine", json!(joining.refined)));
+    let notes = [("topology", json!(made.topology)), ("volumes", volumes)].into_iter().chain(refined);
+    let mut surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
+    made.kept.iter().for_each(|&(v, place)| surface.mesh.vertices[v as usize] = place);
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: told.source,
@@ -157,7 +211,7 @@ fn of_object(
         components: made.topology.field.components,
         materials: Vec::new(),
         caps: Vec::new(),
-        notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
+        notes: notes.map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);
     Ok(Made { surface, meta, offending })
@@ -165,18 +219,26 @@ fn of_object(
 
 /// Adds the results to the report and to the closing table, and issues the warnings.
 fn tell(made: &Reconstruction, context: &Context) {
-    let Reconstruction { checked, topology, refined, .. } = made;
-    context.report("prepare", json!(made.prepared));
-    context.report("refine", json!(refined));
-    context.report("cocone", json!(made.cocone));
-    context.report("parted_vertices", made.parted);
+    let Reconstruction { checked, topology, joining, .. } = made;
+    if let Some(joining) = joining {
+        context.report("prepare", json!(joining.prepared));
+        context.report("refine", json!(joining.refined));
+        context.report("cocone", json!(joining.cocone));
+        context.report("parted_vertices", joining.parted);
+        if let Some(cocone) = &joining.cocone {
+            points_alone::warn(cocone, context);
+        }
+    }
     context.report("improve", json!(made.improved));
     context.report("check", json!(checked));
     context.report("topology", json!(topology));
-    if let Some(cocone) = &made.cocone {
-        points_alone::warn(cocone, context);
-    }
     made.doubtful.iter().for_each(|doubt| context.warn(doubt));
-    describe_mesh(checked, &topology.expected(), [made.taken, made.prepared.dropped()], context);
-    context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
+    describe_mesh(checked, &topology.expected(), context);
+    match joining {
+        Some(Joining { prepared, taken, refined, .. }) => {
+            context.summary("particles used, not used", format!("{taken}, {}", prepared.dropped()));
+            context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
+        }
+        None => context.summary("vertices kept", made.kept.len()),
+    }
 }

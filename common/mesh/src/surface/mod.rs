@@ -18,6 +18,7 @@ use isoparticles_file::history::History;
 use isoparticles_file::output::write_atomically;
 use isoparticles_volume::{Geometry, Space, Voxels};
 use serde_json::Value;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Values on the vertices or triangles of a surface.
@@ -150,12 +151,20 @@ pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &His
     check_arrays(path, &surface.cell_data, counts.1)?;
     check_indices(path, surface.mesh.triangles.as_flattened(), counts.0)?;
     match format {
-        Format::Vtp => vtp::write(path, surface, meta, history),
+        Format::Vtp => Ok(write_atomically(path, |file| encode_surface(file, surface, meta, history))?),
         Format::Ply => Ok(write_atomically(path, |file| interchange::write_ply(file, surface, history))?),
         Format::Stl => Ok(write_atomically(path, |file| interchange::write_stl(file, surface, history))?),
         Format::Obj => Ok(write_atomically(path, |file| interchange::write_obj(file, surface, history))?),
         Format::Vtk => Ok(write_atomically(path, |file| interchange::write_vtk(file, surface, history))?),
     }
+}
+
+/// Writes the contents of the `.vtp` file of a surface.
+///
+/// # Errors
+/// Those of `file`.
+pub fn encode_surface(file: &mut dyn Write, surface: &Surface, meta: &Value, history: &History) -> io::Result<()> {
+    vtp::encode(file, surface, meta, history)
 }
 
 /// Writes points, segments and triangles as a `.vtp` file.
@@ -166,7 +175,7 @@ pub fn write_simplices(path: &Path, simplices: &Simplices, history: &History) ->
     for indices in indices {
         check_indices(path, indices, simplices.points.len())?;
     }
-    vtp::write_simplices(path, simplices, history)
+    Ok(write_atomically(path, |file| vtp::encode_simplices(file, simplices, history))?)
 }
 
 /// Returns an error unless every array has values for exactly `count` vertices or cells.

@@ -7,10 +7,10 @@ use crate::error::bad;
 use crate::error::{Error, Result};
 use glam::DVec3;
 use isoparticles_file::history::History;
-use isoparticles_file::output::write_atomically;
 use isoparticles_volume::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Space, Voxels};
 use serde_json::Value;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Name of the file kind.
@@ -27,29 +27,29 @@ struct Cells<'a> {
     size: usize,
 }
 
-pub(super) fn write(path: &Path, surface: &Surface, meta: &Value, history: &History) -> Result<()> {
+pub(super) fn encode(file: &mut dyn Write, surface: &Surface, meta: &Value, history: &History) -> io::Result<()> {
     let texts = [("space", ascii_json(&surface.space)), ("meta", ascii_json(meta))];
     let cells = [Cells { section: "Polys", indices: surface.mesh.triangles.as_flattened(), size: 3 }];
     let data = (surface.point_data.as_slice(), surface.cell_data.as_slice());
-    write_poly_data(path, (KIND, &texts, history), &surface.mesh.vertices, &cells, data)
+    encode_poly_data(file, (KIND, &texts, history), &surface.mesh.vertices, &cells, data)
 }
 
-pub(super) fn write_simplices(path: &Path, simplices: &Simplices, history: &History) -> Result<()> {
+pub(super) fn encode_simplices(file: &mut dyn Write, simplices: &Simplices, history: &History) -> io::Result<()> {
     let cells = [
         Cells { section: "Verts", indices: &simplices.vertices, size: 1 },
         Cells { section: "Lines", indices: simplices.edges.as_flattened(), size: 2 },
         Cells { section: "Polys", indices: simplices.triangles.as_flattened(), size: 3 },
     ];
-    write_poly_data(path, ("simplices", &[], history), &simplices.points, &cells, (&[], &simplices.cell_data))
+    encode_poly_data(file, ("simplices", &[], history), &simplices.points, &cells, (&[], &simplices.cell_data))
 }
 
-fn write_poly_data(
-    path: &Path,
+fn encode_poly_data(
+    file: &mut dyn Write,
     (kind, texts, history): (&str, &[(&str, String)], &History),
     points: &[DVec3],
     cells: &[Cells<'_>],
     (point_data, cell_data): (&[DataArray], &[DataArray]),
-) -> Result<()> {
+) -> io::Result<()> {
     let mut document = Document::new("PolyData");
     document.open("PolyData", &[]);
     document.identity(kind, VERSION, texts, Some(history));
@@ -86,7 +86,7 @@ fn write_poly_data(
         document.array("offsets", 1, Payload::Values(Voxels::I64(ends)));
         document.close();
     }
-    Ok(write_atomically(path, |file| document.write(file))?)
+    document.write(file)
 }
 
 /// Reads a `.vtp` surface of triangles.

@@ -91,6 +91,32 @@ pub(super) fn part_of_slide(surface: &Surface, vertex: u32, [from, to]: [DVec3; 
     surface.onto_curve(&curve, from.lerp(to, share), from.distance(to))
 }
 
+/// Splits the edge a, b of a junction curve at a new vertex of the curve near its midpoint. Returns
+/// the vertex, or `None` if this is not possible.
+pub(super) fn split_along(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
+    let at_edge = |t: &&u32| surface.triangles[**t as usize].contains(&b);
+    let triangles: Vec<u32> = surface.around[a as usize].iter().filter(at_edge).copied().collect();
+    let mut sheets: Vec<u32> = triangles.iter().map(|&t| surface.sheet[t as usize]).collect();
+    sheets.sort_unstable();
+    let is_curve = (2..=3).contains(&sheets.len()) && sheets.is_sorted_by(|first, second| first < second);
+    let mut corners = triangles.iter().flat_map(|&t| surface.triangles[t as usize]);
+    if !is_curve || corners.any(|v| surface.frozen[v as usize]) {
+        return None;
+    }
+    let [p, q] = [a, b].map(|v| surface.positions[v as usize]);
+    let curve = Curve { ends: [a, b], sheets };
+    let middle = surface.onto_curve(&curve, p.midpoint(q), 0.5 * p.distance(q))?;
+    let new = surface.add_vertex(middle);
+    surface.freedom[new as usize] = Freedom::Curve;
+    for t in triangles {
+        let (corners, sheet) = (surface.triangles[t as usize], surface.sheet[t as usize]);
+        let with = |gone: u32| corners.map(|v| if v == gone { new } else { v });
+        surface.set_triangle(t, with(b));
+        surface.add_triangle(with(a), sheet);
+    }
+    Some(new)
+}
+
 /// Merges `gone` into its neighbour `keep` on the same curve. `keep` does not move. The last vertex
 /// between two junction points stays if the edge between them would be short
 /// ([`Surface::is_short_side`]). Returns whether the collapse is possible.

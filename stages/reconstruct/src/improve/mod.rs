@@ -68,11 +68,15 @@ pub struct ImproveOptions<'a> {
     /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
+    /// For each vertex, whether it may change. If given, the lengths of the edges between these
+    /// vertices are first adjusted to h by splits and collapses, and all triangles at other vertices
+    /// keep their corners.
+    pub within: Option<&'a [bool]>,
 }
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, within: None }
     }
 }
 
@@ -219,6 +223,11 @@ pub fn improve_sheets(
 
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
+    if let Some(within) = options.within {
+        surface.frozen.iter_mut().zip(within).for_each(|(frozen, may_change)| *frozen |= !may_change);
+        surface.fill_grid();
+        remesh::adjust(&mut surface, &limits, step, tally)?;
+    }
     // sweeps remove the grid and fill it at their end
     if options.relaxation_sweeps == 0 {
         surface.fill_grid();

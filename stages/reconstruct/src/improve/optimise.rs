@@ -74,7 +74,7 @@ impl Level {
     /// triangles take 20 s instead of 13 s and raise the minimum radius ratio from 0.610 to 0.614;
     /// at 20,000 vertices, 18 s instead of 15 s, and from 0.611 to 0.694.
     fn applies(&self, surface: &Surface, triangle: u32, quality: f64) -> bool {
-        if quality >= self.bar {
+        if quality >= self.bar || surface.is_frozen(triangle) {
             return false;
         }
         match self.operation {
@@ -126,8 +126,8 @@ struct Budget {
 impl Budget {
     /// Returns the number of attempts that the remaining budget allows at the mean cost so far; at
     /// least one while any budget remains.
-    fn left(&self) -> usize {
-        let left = (WASTED_WORK_LIMIT + self.useful).saturating_sub(self.wasted);
+    fn left(&self, limit: usize) -> usize {
+        let left = (limit + self.useful).saturating_sub(self.wasted);
         let mean_cost = (self.useful + self.wasted).div_ceil(self.attempts.max(1));
         match (left, mean_cost) {
             (0, _) => 0,
@@ -167,6 +167,9 @@ struct Queue {
     tier_of: Vec<Tier>,
     /// Triangles nearest to grid nodes on the wrong side, ascending.
     at_nodes: Vec<u32>,
+    /// Transactions by which the wasted work may exceed the useful work: [`WASTED_WORK_LIMIT`]
+    /// times the share of the vertices that may change.
+    limit: usize,
 }
 
 impl Queue {
@@ -179,6 +182,7 @@ impl Queue {
             heap: BinaryHeap::new(),
             tier_of: vec![DONE; count],
             at_nodes: surface.triangles_at_wrong_nodes(),
+            limit: WASTED_WORK_LIMIT * surface.frozen.iter().filter(|frozen| !**frozen).count() / surface.frozen.len(),
         };
         (0..count as u32).for_each(|t| queue.enter(surface, t, 0));
         queue
@@ -198,7 +202,7 @@ impl Queue {
         let quality = f64::from_bits(rank);
         let tier = self.bands.iter().position(|&bar| quality < bar).and_then(|band| {
             let is_open = |&level: &usize| {
-                self.budgets[band][level].left() > 0 && self.levels[level].applies(surface, t, quality)
+                self.budgets[band][level].left(self.limit) > 0 && self.levels[level].applies(surface, t, quality)
             };
             Some((band, (least..LEVELS).find(is_open)?))
         });
@@ -212,7 +216,7 @@ impl Queue {
         let mut batch = Vec::new();
         let mut tier = DONE;
         while let Some(&Reverse((next, rank, t))) = self.heap.peek() {
-            let left = self.budgets[next.0][next.1].left();
+            let left = self.budgets[next.0][next.1].left(self.limit);
             if !batch.is_empty() && (next != tier || batch.len() >= left.min(BATCH)) {
                 break;
             }

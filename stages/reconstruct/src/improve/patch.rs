@@ -1,6 +1,7 @@
 //! A copy of a part of the surface, which can be edited independently. All commits in the part
 //! become one transaction of the whole surface.
 
+use super::sheets::Freedom;
 use super::surface::{DEAD, Facts, Size, Surface};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
@@ -105,7 +106,7 @@ impl<'a> Patch<'a> {
             // an added vertex without triangles has been removed again
             number.push(first_added + added.len() as u32);
             if !part.around[v].is_empty() {
-                added.push((part.positions[v], part.target[v]));
+                added.push((part.positions[v], part.target[v], part.freedom[v]));
             }
         }
         let (retriangled, new_triangles, facts) = Default::default();
@@ -137,8 +138,8 @@ pub(super) struct Edits {
     first_added: u32,
     /// Moved vertices, their new positions, and their target lengths in the part.
     moved: Vec<(u32, DVec3, f64)>,
-    /// Positions and target lengths of the added vertices.
-    added: Vec<(DVec3, f64)>,
+    /// Positions, target lengths and freedoms of the added vertices.
+    added: Vec<(DVec3, f64, Freedom)>,
     /// Changed triangles and their new corners, [`DEAD`] if removed.
     retriangled: Vec<(u32, [u32; 3])>,
     /// Corners, interfaces and facts of the added triangles.
@@ -161,8 +162,9 @@ impl Edits {
         let shift = whole.positions.len() as u32 - self.first_added;
         let number = |v: u32| if v >= self.first_added && v != u32::MAX { v + shift } else { v };
         self.moved.into_iter().for_each(|(v, p, own)| whole.move_vertex_of(v, p, target(p, own)));
-        for (p, own) in self.added {
-            whole.add_vertex_of(p, target(p, own));
+        for (p, own, freedom) in self.added {
+            let v = whole.add_vertex_of(p, target(p, own));
+            whole.freedom[v as usize] = freedom;
         }
         self.retriangled.into_iter().for_each(|(t, corners)| whole.set_triangle(t, corners.map(number)));
         for (corners, sheet, _) in self.new_triangles {

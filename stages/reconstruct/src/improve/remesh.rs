@@ -2,22 +2,62 @@
 //! edges, collapses short edges, flips edges towards degree six, and relaxes vertices along the
 //! surface. Every move must pass the acceptance test, and the vertices stay on F = 0.
 
-use super::Tally;
 use super::acceptance::{Goal, Limits, commit_or_rollback, total_gain};
-use super::constants::{FLOOR, HOPELESS_AFTER_SWEEP, LONG, PASSES, SHORT, TARGET};
+use super::constants::{FEW_CHANGES, FLOOR, HOPELESS_AFTER_SWEEP, LONG, PASSES, ROUNDS, SHORT, TARGET};
+use super::curves::{collapse_along, split_along};
 use super::moves::{collapse, flip, relax, split};
+use super::patch::Patch;
 use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
+use super::{Step, Tally};
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_stage::error::Result;
 
-/// Performs one round of splits, collapses, flips and two relaxations.
-pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
-    split_long(surface, limits);
-    collapse_short(surface, limits, tally);
+/// Adjusts the lengths of the edges between vertices that are not frozen to h. Each round calls
+/// `step` first. A round halves long edges, so the longest edge determines the maximum number of
+/// rounds, in addition to the [`ROUNDS`] of a patch.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn adjust(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<()> {
+    let changeable = |t: &u32| surface.is_alive(*t) && !surface.is_frozen(*t);
+    let triangles: Vec<u32> = (0..surface.triangles.len() as u32).filter(changeable).collect();
+    let longest = triangles.iter().map(|&t| surface.facts[t as usize].lengths[1]).fold(1.0, f64::max);
+    let bounds = triangles.iter().fold(Bounds::EMPTY, |all, &t| all.merged(surface.bounds(t)));
+    // a new vertex lies at most half of its edge from the edge
+    let margin = 0.5 * (bounds.high - bounds.low).max_element();
+    let region = Bounds { low: bounds.low - margin, high: bounds.high + margin };
+    let mut patch = Patch::within(surface, &region);
+    for _ in 0..ROUNDS + longest.log2().ceil() as usize {
+        step()?;
+        let changes = round(&mut patch.surface, limits, Curves::Change, tally);
+        if (changes as f64) < FEW_CHANGES * triangles.len() as f64 {
+            break;
+        }
+    }
+    let nodes = patch.turned_nodes(surface);
+    patch.edits(surface).commit(surface, &nodes);
+    Ok(())
+}
+
+/// Whether edges of junction curves are split and collapsed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Curves {
+    Keep,
+    Change,
+}
+
+/// Performs one round of splits, collapses, flips and two relaxations. Returns the number of splits
+/// and collapses.
+pub(super) fn round(surface: &mut Surface, limits: &Limits, curves: Curves, tally: &mut Tally) -> usize {
+    let splits = split_long(surface, limits, curves);
+    let collapses = collapse_short(surface, limits, curves, tally);
     let all = &vec![true; surface.positions.len()];
     equalise_degrees(surface, limits, Goal::Keep { floor: FLOOR }, all, tally);
     for _ in 0..2 {
         relax_all(surface, limits, Goal::Keep { floor: TARGET }, all, tally);
     }
+    splits + collapses
 }
 
 /// Returns all edges in ascending order, each with the lower vertex first.
@@ -25,22 +65,27 @@ pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
     edges_of(surface.triangles.iter().filter(|t| **t != DEAD))
 }
 
-fn split_long(surface: &mut Surface, limits: &Limits) {
+/// Splits long edges, and returns their number.
+fn split_long(surface: &mut Surface, limits: &Limits, curves: Curves) -> usize {
     let mut long: Vec<(f64, u32, u32)> = edges(surface)
         .into_iter()
         .map(|(a, b)| (surface.relative_length(a, b), a, b))
         .filter(|edge| edge.0 > LONG)
         .collect();
     long.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut count = 0;
     for (_, a, b) in long {
-        if split(surface, a, b).is_some() {
-            commit_or_rollback(surface, limits, Goal::Keep { floor: FLOOR });
-        }
+        let along = |surface: &mut Surface| curves == Curves::Change && split_along(surface, a, b).is_some();
+        let made = split(surface, a, b).is_some() || along(surface);
+        count += usize::from(made && commit_or_rollback(surface, limits, Goal::Keep { floor: FLOOR }).is_some());
         surface.rollback();
     }
+    count
 }
 
-fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+/// Collapses short edges, and returns their number.
+fn collapse_short(surface: &mut Surface, limits: &Limits, curves: Curves, tally: &mut Tally) -> usize {
+    let before = tally.collapses;
     let mut short: Vec<(f64, u32, u32)> = edges(surface)
         .into_iter()
         .map(|(a, b)| (surface.relative_length(a, b), a, b))
@@ -48,10 +93,19 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
         .collect();
     short.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, a, b) in short {
-        let Some([(left, _), _]) = surface.edge_triangles(a, b) else { continue };
         if surface.relative_length(a, b) >= SHORT {
             continue;
         }
+        let Some([(left, _), _]) = surface.edge_triangles(a, b) else {
+            let collapses = |&(keep, gone): &(u32, u32)| {
+                let made = curves == Curves::Change && collapse_along(surface, keep, gone);
+                let kept = made && commit_or_rollback(surface, limits, Goal::Keep { floor: FLOOR }).is_some();
+                surface.rollback();
+                kept
+            };
+            tally.collapses += usize::from([(a, b), (b, a)].iter().any(collapses));
+            continue;
+        };
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
         let middle = surface.field.projected(surface.sheet[left as usize], 0.5 * (p + q), p.distance(q));
         for (keep, gone, at) in [(a, b, middle), (a, b, Some(p)), (b, a, Some(q))] {
@@ -67,6 +121,7 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
             surface.rollback();
         }
     }
+    tally.collapses - before
 }
 
 /// Flips an edge if this lowers the sum of the squared surpluses ([`Surface::surplus`]) of its four

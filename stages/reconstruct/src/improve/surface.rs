@@ -391,6 +391,12 @@ impl<'a> Surface<'a> {
         self.is_free(vertex) && self.degree(vertex) < 4
     }
 
+    /// Returns whether a triangle keeps its corners and their positions, because all of them are
+    /// frozen.
+    pub(super) fn is_frozen(&self, triangle: u32) -> bool {
+        self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && self.frozen[v as usize])
+    }
+
     /// Returns whether a corner of a triangle is not free. The quality of such a triangle mostly
     /// depends on the length of a segment of a junction curve, or on the angle between two
     /// segments. Few changes of other triangles improve it.

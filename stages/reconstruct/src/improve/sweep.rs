@@ -44,7 +44,9 @@ pub(super) fn sweep(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let visits = (sweeps - 1) as f64 + VISITS as f64 / surface.positions.len() as f64;
+    let mut todo: Vec<bool> = surface.frozen.iter().map(|frozen| !frozen).collect();
+    let count = todo.iter().filter(|&&todo| todo).count();
+    let visits = (sweeps - 1) as f64 + VISITS as f64 / count as f64;
     let work = |part: &mut Surface, todo: &[bool]| {
         let mut tally = Tally::default();
         step()?;
@@ -57,7 +59,6 @@ pub(super) fn sweep(
         smooth_all(part, limits, todo, (visits * share) as usize, step, &mut tally)?;
         Ok::<_, isoparticles_stage::error::Error>(tally)
     };
-    let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
     // the grid is filled again after the last round
     surface.grid = None;
@@ -205,11 +206,11 @@ fn mean_edge(surface: &Surface) -> f64 {
 mod tests {
     use super::*;
     use crate::check::{CheckOptions, check_object};
+    use crate::complete::ObjectTruth;
     use crate::improve::acceptance::commit_or_rollback;
     use crate::improve::moves;
     use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
-    use crate::reconstruct::ObjectTruth;
     use isoparticles_field::random::uniform;
     use isoparticles_field::spline::CubicSpline;
     use isoparticles_mesh::quality::{radius_ratios, summarise};

@@ -7,6 +7,7 @@
 //! distance up to the edge length at the rim of the patch. A small closed component is a patch
 //! without a rim.
 
+use super::Tally;
 use super::acceptance::{Goal, Limits, commit_or_rollback};
 use super::constants::{
     COARSEN_DEVIATION, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
@@ -16,8 +17,8 @@ use super::lift::{After, lift, make};
 use super::moves::Move;
 use super::nodes::NodeSides;
 use super::patch::Patch;
+use super::remesh::{self, Curves};
 use super::surface::{DEAD, Surface, edges_of};
-use super::{Tally, remesh};
 use glam::DVec3;
 use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
@@ -167,7 +168,7 @@ fn remeshed<'a>(surface: &Surface<'a>, free: &[u32], target: &'a (dyn Fn(DVec3) 
     patch.keep_free(|v| free.binary_search(&v).is_ok());
     let part = &mut patch.surface;
     for _ in 0..ROUNDS {
-        remesh::round(part, limits, &mut Tally::default());
+        remesh::round(part, limits, Curves::Keep, &mut Tally::default());
         if is_too_large(part) {
             return patch;
         }

@@ -4,7 +4,7 @@
 use super::patch::Patch;
 use super::*;
 use crate::check::{CheckOptions, CheckReport, Fault, check_object};
-use crate::reconstruct::ObjectTruth;
+use crate::complete::ObjectTruth;
 use acceptance::{Goal, commit_or_rollback};
 use constants::{FIT, REACHES};
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -12,6 +12,7 @@ use isoparticles_field::random::uniform;
 use isoparticles_mesh::shapes;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_volume::Geometry;
+use remesh::Curves;
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned(size, spacing);
@@ -55,7 +56,8 @@ pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &Ch
 }
 
 /// Options that improve triangles below 0.6 without sweeps.
-const WORST_ONLY: ImproveOptions = ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, sides: None };
+const WORST_ONLY: ImproveOptions =
+    ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, sides: None, within: None };
 
 /// Remeshes a mesh of marching cubes to edges of length h, as patches are remeshed, and improves
 /// it. If `sides` is given, the grid nodes keep their sides.
@@ -70,7 +72,7 @@ pub(super) fn remeshed(
     let mut surface = Surface::new(&mesh, field, h);
     surface.sides = sides.map(|image| NodeSides::new(&mesh, image));
     for _ in 0..8 {
-        remesh::round(&mut surface, &Limits::STRICT, &mut Tally::default());
+        remesh::round(&mut surface, &Limits::STRICT, Curves::Keep, &mut Tally::default());
     }
     mesh = surface.into_mesh();
     let options = ImproveOptions { relaxation_sweeps: 4, sides, ..WORST_ONLY };
@@ -266,7 +268,7 @@ fn edits_in_a_patch_form_one_transaction_of_the_whole() {
         let is_free: Vec<bool> = part.surface.positions.iter().map(|p| p.z > centre.z + 0.5).collect();
         part.keep_free(|v| is_free[v as usize]);
         for _ in 0..4 {
-            remesh::round(&mut part.surface, &limits, &mut tally);
+            remesh::round(&mut part.surface, &limits, Curves::Keep, &mut tally);
         }
         let mut whole = whole;
         part.edits(&whole.surface).make(&mut whole.surface);

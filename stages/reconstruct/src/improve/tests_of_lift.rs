@@ -7,7 +7,7 @@ use super::surface::measure::quality_of;
 use super::tests::{ball, remeshed, sampled};
 use super::*;
 use crate::check::{CheckOptions, Fault, check_object};
-use crate::reconstruct::ObjectTruth;
+use crate::complete::ObjectTruth;
 use isoparticles_mesh::shapes;
 
 const LIMITS: Limits = Limits::STRICT;

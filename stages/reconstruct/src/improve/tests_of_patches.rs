@@ -4,7 +4,7 @@
 use super::surface::measure::quality_of;
 use super::*;
 use crate::check::{CheckOptions, Fault, check_object};
-use crate::reconstruct::ObjectTruth;
+use crate::complete::ObjectTruth;
 use constants::FIT;
 use isoparticles_volume::Geometry;
 

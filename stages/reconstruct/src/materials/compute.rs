@@ -2,7 +2,9 @@
 //! results to the report.
 
 use super::each::SIDES;
-use super::reconstruct::{Reconstruction, reconstruct};
+use super::nodes::Nodes;
+use super::reconstruct::{Joining, Reconstruction, reconstruct};
+use super::update::update;
 use crate::args::Args;
 use crate::input::about;
 use crate::interfaces::Interfaces;
@@ -36,6 +38,33 @@ pub(crate) fn compute(
     context: &Context,
 ) -> Result<Made> {
     let strata = strata(args, file)?;
+    let (told, options) = told(args, given)?;
+    let names = given.materials.table();
+    let made = reconstruct((&file.particles, strata), &given.materials, names, sizing, &options, context)
+        .map_err(|error| about(&args.particles, error))?;
+    finished(&made, given, &told, &options, context)
+}
+
+/// Updates the interfaces of `previous` where h has changed to `sizing`.
+///
+/// # Errors
+/// Those of [`update()`].
+pub(crate) fn compute_update(
+    args: &Args,
+    previous: &Surface,
+    (given, nodes): (&MaterialsFile, &Nodes),
+    sizing: &SizingField,
+    context: &Context,
+) -> Result<Made> {
+    let (told, options) = told(args, given)?;
+    let (materials, names) = (&given.materials, given.materials.table());
+    let made = update(previous, (materials, nodes), names, sizing, &options, context)
+        .map_err(|error| about(&args.particles, error))?;
+    finished(&made, given, &told, &options, context)
+}
+
+/// Returns the metadata of the materials, and the options for them.
+fn told(args: &Args, given: &MaterialsFile) -> Result<(MaterialsMeta, Options)> {
     let [path, _] = args.field_names();
     let told: MaterialsMeta = meta::typed(path, &given.meta, "distfield")?;
     if told.border == Some(Border::Open) {
@@ -46,29 +75,38 @@ pub(crate) fn compute(
         ));
     }
     // without a scale, the voxel centres of labels keep their materials
-    let source = told.source.unwrap_or(Source::Labels);
-    let options = Options { keeps_voxels: told.scale.is_none() && source == Source::Labels, ..args.general_options() };
-    let (table, caps) = given.materials.table().split_at(given.materials.indicators().len());
-    let names = given.materials.table();
-    let made = reconstruct((&file.particles, strata), &given.materials, names, sizing, &options, context)
-        .map_err(|error| about(&args.particles, error))?;
-    context.check_interrupt()?;
-    tell(&made, context);
+    let keeps_voxels = told.scale.is_none() && told.source.unwrap_or(Source::Labels) == Source::Labels;
+    Ok((told, Options { keeps_voxels, ..args.general_options() }))
+}
 
+/// Adds the results to the report, and returns the surface with its data.
+fn finished(
+    made: &Reconstruction,
+    given: &MaterialsFile,
+    told: &MaterialsMeta,
+    options: &Options,
+    context: &Context,
+) -> Result<Made> {
+    context.check_interrupt()?;
+    tell(made, context);
     let geometry = given.materials.geometry();
     let pairs: Vec<_> = made.checked.pairs.iter().map(|pair| &pair.between).collect();
-    let volumes = of_materials(&told, &made.checked.regions);
-    let notes = [("volumes", json!(volumes)), ("refine", json!(made.refined)), ("interfaces", json!(pairs))];
-    let surface = attributes(&made, geometry);
+    let volumes = json!(of_materials(told, &made.checked.regions));
+    context.report("volumes", volumes.clone());
+    let refined = made.joining.as_ref().map(|joining| ("refine", json!(joining.refined)));
+    let notes = [("volumes", volumes), ("interfaces", json!(pairs))].into_iter().chain(refined);
+    let (table, caps) = given.materials.table().split_at(given.materials.indicators().len());
+    let mut surface = attributes(made, geometry);
+    made.kept.iter().for_each(|&(v, place)| surface.mesh.vertices[v as usize] = place);
     let meta = SurfaceMeta {
         version: meta::VERSION,
-        source: Some(source),
+        source: Some(told.source.unwrap_or(Source::Labels)),
         border: told.border,
-        failed_checks: made.failed,
+        failed_checks: made.failed.clone(),
         components: made.pieces.iter().map(|own| own.components).sum(),
         materials: table.to_vec(),
         caps: caps.iter().map(|cap| cap.name.clone()).collect(),
-        notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
+        notes: notes.map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     let offending = offending(&made.interfaces.mesh, &made.checked, geometry, options.keeps_voxels);
     Ok(Made { surface, meta, offending })
@@ -114,18 +152,34 @@ fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
 
 /// Adds the results to the report and the closing table, and warns of remaining violations.
 fn tell(made: &Reconstruction, context: &Context) {
-    let Reconstruction { checked, taken, refined, improved, .. } = made;
-    context.report("prepare", json!(taken));
-    context.report("refine", json!(refined));
+    let Reconstruction { checked, joining, improved, .. } = made;
+    if let Some(Joining { taken, refined }) = joining {
+        context.report("prepare", json!(taken));
+        context.report("refine", json!(refined));
+    }
     context.report("improve", json!(improved));
     context.report("check", json!(checked));
     context.report("topology", json!(made.pieces));
-    let lost = &taken.particles;
-    let dropped = lost.not_projected + lost.crowded + taken.encroaching;
-    describe_mesh(checked, "", [lost.particles.saturating_sub(dropped), dropped], context);
+    describe_mesh(checked, "", context);
     let missing: usize = made.pieces.iter().map(|own| own.missing.len()).sum();
     let specks: usize = made.pieces.iter().map(|own| own.missing_specks).sum();
     context.summary("components missing, specks missing", format!("{missing}, {specks}"));
+    match joining {
+        Some(joining) => tell_joining(joining, context),
+        None => context.summary("vertices kept", made.kept.len()),
+    }
+    if made.failed.is_empty()
+        && let Some(forced) = checked.forced()
+    {
+        context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", checked.poor_between_curves.len()));
+    }
+}
+
+fn tell_joining(Joining { taken, refined }: &Joining, context: &Context) {
+    let lost = &taken.particles;
+    let dropped = lost.not_projected + lost.crowded + taken.encroaching;
+    let used = lost.particles.saturating_sub(dropped);
+    context.summary("particles used, not used", format!("{used}, {dropped}"));
     context.summary(
         "points added",
         format!("{}, {} of them on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
@@ -138,10 +192,5 @@ fn tell(made: &Reconstruction, context: &Context) {
              (sizefield without --uniform grades it by thickness)",
             left.join(", ")
         ));
-    }
-    if made.failed.is_empty()
-        && let Some(forced) = checked.forced()
-    {
-        context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", checked.poor_between_curves.len()));
     }
 }

@@ -123,7 +123,8 @@ fn bridged(segments: Vec<(Segment, Stratum)>, is_gone: impl Fn(u32) -> bool) -> 
 /// Improves the triangles of interfaces. `dimensions` contains the dimension of the stratum of each
 /// vertex. Vertices on curves stay on them; junction points and vertices on merged curves are
 /// fixed. `nodes` are the grid nodes that must keep their materials. `size` is the target edge
-/// length h (mm) at a position.
+/// length h (mm) at a position. Also returns the index of each vertex in the improved mesh
+/// (`u32::MAX` if it was removed).
 ///
 /// # Errors
 /// If the mesh is malformed or h is not positive and finite at a vertex; and the errors of `step`.
@@ -135,7 +136,7 @@ pub fn improve(
     size: &(dyn Fn(DVec3) -> f64 + Sync),
     options: &ImproveOptions,
     step: Step,
-) -> Result<ImproveReport> {
+) -> Result<(ImproveReport, Vec<u32>)> {
     let pairs = interfaces.pairs();
     let number = |pair: &[MaterialId; 2]| pairs.partition_point(|other| other < pair) as u32;
     let of_triangle: Vec<u32> = interfaces.between.iter().map(number).collect();
@@ -151,7 +152,7 @@ pub fn improve(
     interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
     interfaces.joined.iter_mut().for_each(|own| own.vertex = number(own.vertex));
     interfaces.between = sheets.of_triangle.iter().map(|&sheet| field.pair(sheet)).collect();
-    Ok(report)
+    Ok((report, sheets.numbers))
 }
 
 #[cfg(test)]

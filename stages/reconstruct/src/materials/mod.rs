@@ -13,6 +13,7 @@
 //! | improvement of the triangles | [`improve`] |
 //! | components of the materials | [`pieces`] |
 //! | all steps in order; the results for the program | [`reconstruct`], `compute` |
+//! | update where h has changed | [`update`] |
 //! | surfaces of single materials | `each` |
 
 pub mod complex;
@@ -37,4 +38,5 @@ pub mod segments;
 mod tests;
 pub mod topology;
 mod unite;
+pub mod update;
 pub(crate) mod way;

@@ -29,10 +29,10 @@ pub struct Reconstruction {
     pub interfaces: Interfaces,
     /// Target edge length at each vertex, mm.
     pub sizes: Vec<f64>,
-    /// Numbers of particles and segments that were used, added or not used.
-    pub taken: Taken,
-    /// Report of the refinement.
-    pub refined: RefineReport,
+    /// How the particles were joined; `None` for an updated complex.
+    pub joining: Option<Joining>,
+    /// World positions of the vertices that an update has kept, by vertex.
+    pub kept: Vec<(u32, DVec3)>,
     /// Report of the improvement.
     pub improved: ImproveReport,
     /// Report of the checks.
@@ -41,6 +41,14 @@ pub struct Reconstruction {
     pub pieces: Vec<Pieces>,
     /// Descriptions of the checks that failed.
     pub failed: Vec<String>,
+}
+
+/// Reports of the steps that join particles to a complex.
+pub struct Joining {
+    /// Numbers of particles and segments that were used, added or not used.
+    pub taken: Taken,
+    /// Report of the refinement.
+    pub refined: RefineReport,
 }
 
 /// The indicators, and the material of each grid node.
@@ -119,15 +127,31 @@ pub fn reconstruct(
         // the tests at the coarse size, which is more than the test allows.
         thins: false,
         sides: None,
+        within: None,
     };
     let step = || Ok(monitor.check()?);
-    let improved = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
+    let (improved, _) = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
     drop(phase);
     monitor.check()?;
+    let sizes = interfaces.mesh.vertices.par_iter().map(|&p| size(p)).collect();
+    let (checked, pieces, failed) =
+        checked(&interfaces, &MaterialsTruth { indicators, nodes: &nodes }, table, options, monitor);
+    let joining = Some(Joining { taken, refined });
+    Ok(Reconstruction { interfaces, sizes, joining, kept: Vec::new(), improved, checked, pieces, failed })
+}
 
-    let phase = monitor.phase("check");
+/// Checks a complex. Returns the report, the components of each material on the grid nodes, and the
+/// failed checks in words.
+pub(super) fn checked(
+    interfaces: &Interfaces,
+    truth: &MaterialsTruth,
+    table: &[Material],
+    options: &Options,
+    monitor: &dyn Monitor,
+) -> (CheckReport, Vec<Pieces>, Vec<String>) {
+    let _phase = monitor.phase("check");
     let how = CheckOptions {
-        truth: Some(&MaterialsTruth { indicators, nodes: &nodes }),
+        truth: Some(truth),
         table,
         keeps_nodes: options.keeps_voxels,
         min_radius_ratio: options.min_radius_ratio,
@@ -135,16 +159,13 @@ pub fn reconstruct(
         accept_forced: options.accept_forced,
         ..CheckOptions::default()
     };
-    let checked = check(&interfaces, &how);
+    let checked = check(interfaces, &how);
     let mut failed = checked.failed.clone();
+    let real = truth.indicators.first_beyond().map_or(table.len(), MaterialId::index);
     let pieces = match checked.offenders.get(&Fault::NodesOnWrongSide) {
-        Some(Simplices::Nodes(wrong)) => {
-            pieces(&nodes, wrong, &table[..indicators.first_beyond().map_or(table.len(), MaterialId::index)])
-        }
+        Some(Simplices::Nodes(wrong)) => pieces(truth.nodes, wrong, &table[..real]),
         _ => Vec::new(),
     };
     failed.extend(missing(&pieces));
-    let sizes = interfaces.mesh.vertices.par_iter().map(|&p| size(p)).collect();
-    drop(phase);
-    Ok(Reconstruction { interfaces, sizes, taken, refined, improved, checked, pieces, failed })
+    (checked, pieces, failed)
 }

@@ -4,7 +4,7 @@ use super::complex::Complex;
 use super::nodes::Nodes;
 use super::pieces::{missing, pieces};
 use super::prepare::{Prepared, prepare};
-use super::reconstruct::{MaterialsTruth, Reconstruction, reconstruct};
+use super::reconstruct::{Joining, MaterialsTruth, Reconstruction, reconstruct};
 use super::refine::Refinement;
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
 use crate::check::{CheckOptions, CheckReport, Fault, check};
@@ -20,6 +20,13 @@ use isoparticles_stage::error::Error;
 use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::Geometry;
 use std::f64::consts::PI;
+
+impl Reconstruction {
+    /// Returns the reports of the steps that join particles.
+    fn joined(&self) -> &Joining {
+        self.joining.as_ref().expect("not an update")
+    }
+}
 
 /// Returns the checked complex of the particles of a scene.
 fn made(scene: &Scene, indicators: &dyn Indicators, h: f64, keeps_voxels: bool) -> Reconstruction {
@@ -38,9 +45,13 @@ fn volumes(made: &Reconstruction) -> Vec<f64> {
 }
 
 fn assert_sound(made: &Reconstruction, what: &str) {
-    assert_eq!(made.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.refined, made.improved);
+    assert_eq!(made.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.joined().refined, made.improved);
     // grid nodes in another material may be left to the optimiser
-    assert!(made.refined.unresolved.keys().all(|reason| !reason.is_topology()), "{what}: {:?}", made.refined);
+    assert!(
+        made.joined().refined.unresolved.keys().all(|reason| !reason.is_topology()),
+        "{what}: {:?}",
+        made.joined().refined
+    );
     assert_eq!(
         [Fault::NodesOnWrongSide, Fault::MissingSegments].map(|fault| made.checked.count(fault)),
         [0, 0],
@@ -237,7 +248,7 @@ fn lost_curve_particles_are_bridged_and_small_loops_get_points() {
         let options = Options { keeps_voxels: true, ..Options::default() };
         let made = reconstruct((&fewer, &strata), &scene.analytic, &scene.table(), None, &options, &Silent);
         let made = made.expect("on their strata");
-        assert!(made.taken.on_small_loops >= 2, "{}", made.taken.on_small_loops);
+        assert!(made.joined().taken.on_small_loops >= 2, "{}", made.joined().taken.on_small_loops);
         assert_eq!(made.failed, Vec::<String>::new(), "{left}");
         assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
     }
@@ -248,7 +259,7 @@ fn closed_curve_without_particles_is_found_from_interfaces() {
     let scene = Scene { curves: Vec::new(), ..scenes::two_balls() };
     // the spline through samples has no kinks on the curve
     let made = made(&scene, &scene.sampled(1.0), 1.5, false);
-    assert_eq!((made.taken.loops_added, &made.failed), (1, &Vec::new()));
+    assert_eq!((made.joined().taken.loops_added, &made.failed), (1, &Vec::new()));
     assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
 }
 
@@ -257,7 +268,7 @@ fn layer_of_a_fifth_of_h_stays_whole_with_few_added_points() {
     let scene = scenes::shell(9.0, 8.7);
     let made = made(&scene, &scene.analytic, 1.5, false);
     assert_eq!(made.failed, Vec::<String>::new());
-    let (points, added) = (made.interfaces.mesh.vertices.len(), made.refined.inserted.values().sum::<usize>());
+    let (points, added) = (made.interfaces.mesh.vertices.len(), made.joined().refined.inserted.values().sum::<usize>());
     assert!(added * 50 < points, "{added} of {points}");
 }
 

@@ -1,0 +1,280 @@
+//! Updates a finished mesh of one object where h has changed (`--update`).
+//!
+//! The mesh has h at each of its vertices. Where the size field differs from it, edges are split
+//! and collapsed until they fit the new h, and the improvement settles the vertices; a rim of
+//! [`RIM`] rings of vertices around these places moves along. All other vertices keep their
+//! positions bit for bit, and their triangles keep their corners. All edits preserve the topology,
+//! and the whole mesh is checked as after a reconstruction.
+
+use crate::complete::{Completed, Completion};
+use crate::materials::nodes::Nodes;
+use crate::options::Options;
+use crate::reconstruct::Reconstruction;
+use glam::DVec3;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::surface::Surface;
+use isoparticles_stage::distance_field::DistanceField;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::monitor::Monitor;
+use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Number of rings of vertices that move along, around the vertices at which h has changed.
+const RIM: usize = 3;
+
+/// Maximum relative difference of h that counts as none. h is the same sum of f32 values, at a
+/// position that rounding has changed by 1e-15.
+const SAME_SIZE: f64 = 1e-6;
+
+/// A surface is rejected if more than half of its vertices are farther than this from F = 0, in
+/// voxels. It then belongs to another field.
+const FARTHEST: f64 = 1.0;
+
+/// What an update derives from the field alone. All updates of a field can share it.
+pub enum Reference {
+    /// F and its topology.
+    Object(Arc<CubicSpline>, FieldTopology),
+    /// The material of each grid node.
+    Materials(Nodes),
+}
+
+impl Reference {
+    /// Derives the reference of a distance field or of the indicators of many materials.
+    ///
+    /// # Errors
+    /// If the run is interrupted.
+    pub fn new(distance: &DistanceField, monitor: &dyn Monitor) -> Result<Self> {
+        let _phase = monitor.phase("topology");
+        match distance {
+            DistanceField::Object(field) => Self::of_object(&field.image, monitor),
+            DistanceField::Materials(file) => {
+                Ok(Self::Materials(Nodes::new(file.materials.geometry(), &file.materials)))
+            }
+        }
+    }
+
+    fn of_object(field: &Image<f32>, monitor: &dyn Monitor) -> Result<Self> {
+        let spline = Arc::new(CubicSpline::new(field));
+        let topology = FieldTopology::watched(&spline, monitor)?;
+        Ok(Self::Object(spline, topology))
+    }
+}
+
+/// Returns the mesh of `previous` (world coordinates, with h at its vertices) after a change of h
+/// to `sizing`. `field` contains the samples of F.
+///
+/// # Errors
+/// If the surface has no h, or belongs to another field; and if the run is interrupted. A mesh that
+/// fails a check is not an error.
+pub fn update(
+    previous: &Surface,
+    field: &Image<f32>,
+    (spline, topology): (&Arc<CubicSpline>, &FieldTopology),
+    sizing: &SizingField,
+    options: &Options,
+    monitor: &dyn Monitor,
+) -> Result<Reconstruction> {
+    let mut mesh = in_grid(&previous.mesh, &field.geometry);
+    check_belongs(&mesh, spline)?;
+    let size = |p: DVec3| sizing.at(p);
+    let within = changing(&mesh, &sizes_of(previous)?, &size);
+    let before = mesh.vertices.clone();
+    let completion = Completion { spline, topology, samples: field, size: &size, options };
+    let (improved, numbers) = completion.improve(&mut mesh, Some(&within), monitor)?;
+    let (mesh, completed) = completion.check(mesh, None, monitor)?;
+    let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
+    let kept = kept(&previous.mesh, &before, &mesh, &numbers);
+    let Completed { checked, topology, failed, doubtful } = completed;
+    let (field, joining) = (Arc::clone(spline), None);
+    Ok(Reconstruction { field, mesh, sizes, joining, kept, improved, checked, topology, failed, doubtful })
+}
+
+/// Returns the vertices that have kept their positions, with these positions in world coordinates.
+/// `before` contains the grid positions of the vertices of `previous`, and `numbers` their indices
+/// in `mesh`.
+pub(crate) fn kept(
+    previous: &TriangleMesh,
+    before: &[DVec3],
+    mesh: &TriangleMesh,
+    numbers: &[u32],
+) -> Vec<(u32, DVec3)> {
+    let numbered = numbers.iter().zip(before.iter().zip(&previous.vertices));
+    let is_kept = |number: u32, place: DVec3| number != u32::MAX && mesh.vertices[number as usize] == place;
+    numbered.filter(|(number, (place, _))| is_kept(**number, **place)).map(|(&number, (_, &p))| (number, p)).collect()
+}
+
+/// Maps a mesh from world coordinates to the grid frame; the inverse of [`Surface::from_grid`].
+pub(crate) fn in_grid(mesh: &TriangleMesh, geometry: &Geometry) -> TriangleMesh {
+    let turn = geometry.is_left_handed();
+    TriangleMesh {
+        vertices: mesh.vertices.iter().map(|&p| geometry.world_to_grid(p)).collect(),
+        triangles: mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect(),
+    }
+}
+
+/// Returns h at the vertices of a surface.
+pub(crate) fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
+    let sizes = surface.point_data.iter().find(|array| array.name == "h").map(|array| array.values.to_f64());
+    sizes.filter(|sizes| sizes.len() == surface.mesh.vertices.len()).ok_or_else(|| {
+        Error::input(
+            "the surface has no array h at its vertices",
+            "it shows where h has changed",
+            "pass a .vtp file that reconstruct has written from the same distance field",
+        )
+    })
+}
+
+/// Returns an error if the mesh does not lie on F = 0.
+fn check_belongs(mesh: &TriangleMesh, spline: &CubicSpline) -> Result<()> {
+    let far = FARTHEST * spline.voxel();
+    let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > far;
+    let count = mesh.vertices.par_iter().filter(is_far).count();
+    if mesh.is_well_formed() && 2 * count <= mesh.vertices.len() && !mesh.triangles.is_empty() {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("{count} of {} vertices are not within {FARTHEST} voxel of F = 0", mesh.vertices.len()),
+        "the surface does not belong to the distance field",
+        "pass the distance field from which the surface was made",
+    ))
+}
+
+/// Returns whether each vertex may change: h has changed there, or at most [`RIM`] edges away.
+pub(crate) fn changing(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
+    let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
+    let mut changes: Vec<bool> = mesh.vertices.par_iter().zip(before).map(differs).collect();
+    for _ in 0..RIM {
+        let mut next = changes.clone();
+        for corners in mesh.triangles.iter().filter(|corners| corners.iter().any(|&v| changes[v as usize])) {
+            corners.iter().for_each(|&v| next[v as usize] = true);
+        }
+        changes = next;
+    }
+    changes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruct::reconstruct;
+    use crate::scenes::{self, Scene};
+    use isoparticles_field::particle_set::ParticleSet;
+    use isoparticles_mesh::surface::DataArray;
+    use isoparticles_stage::monitor::Silent;
+
+    /// Edge length of the mesh that is updated.
+    const H: f64 = 1.6;
+    /// A point on the outer rim of the torus.
+    const PLACE: DVec3 = DVec3::new(28.7, 15.7, 15.7);
+
+    fn surface_of(made: &Reconstruction, previous: Option<&Surface>) -> Surface {
+        let mut surface = Surface::from_grid(&made.mesh, made.field.geometry());
+        assert_eq!(made.kept.is_empty(), previous.is_none());
+        made.kept.iter().for_each(|&(v, place)| surface.mesh.vertices[v as usize] = place);
+        surface.point_data = vec![DataArray::scalars("h", made.sizes.clone())];
+        surface
+    }
+
+    fn meshed(scene: &Scene) -> Surface {
+        let positions = scene.points(H);
+        let count = positions.len();
+        let particles = ParticleSet {
+            geometry: scene.image.geometry.clone(),
+            normals: vec![DVec3::Z; count],
+            positions,
+            sizes: vec![H; count],
+            energies: vec![0.0; count],
+            lambdas: vec![0.1; count],
+        };
+        let sizing = field_of(scene, |_| H);
+        let made = reconstruct(&particles, &scene.image, Some(&sizing), &Options::default(), &Silent).expect("near F");
+        assert_eq!(made.failed, [""; 0]);
+        surface_of(&made, None)
+    }
+
+    fn field_of(scene: &Scene, h: impl Fn(DVec3) -> f64) -> SizingField {
+        SizingField::new(Image::sampled(scene.image.geometry.clone(), |p| h(p) as f32))
+    }
+
+    /// Returns h of `size` within 4 mm of [`PLACE`], with slope 0.4 around.
+    fn near(size: f64) -> impl Fn(DVec3) -> f64 {
+        move |p| {
+            let away = 0.4 * (p.distance(PLACE) - 4.0);
+            if size < H { (size + away.max(0.0)).min(H) } else { size.min(H - away).max(H) }
+        }
+    }
+
+    fn run(previous: &Surface, scene: &Scene, h: impl Fn(DVec3) -> f64) -> Result<Reconstruction> {
+        let Reference::Object(spline, topology) = Reference::of_object(&scene.image, &Silent)? else { unreachable!() };
+        let sizing = field_of(scene, h);
+        update(previous, &scene.image, (&spline, &topology), &sizing, &Options::default(), &Silent)
+    }
+
+    fn updated(scene: &Scene, previous: &Surface, h: impl Fn(DVec3) -> f64) -> (Reconstruction, Surface) {
+        let made = run(previous, scene, h).expect("of F");
+        assert_eq!(made.failed, [""; 0]);
+        let surface = surface_of(&made, Some(previous));
+        (made, surface)
+    }
+
+    fn mean_edge(surface: &Surface) -> f64 {
+        let near = |p: &DVec3| p.distance(PLACE) < 3.0;
+        let triangles = surface.mesh.triangles.iter().map(|t| t.map(|v| surface.mesh.vertices[v as usize]));
+        let inside = triangles.filter(|corners| corners.iter().all(near));
+        let edges: Vec<f64> = inside.flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]).collect();
+        edges.iter().sum::<f64>() / edges.len() as f64
+    }
+
+    #[test]
+    fn only_the_surroundings_of_a_ball_change() {
+        let scene = scenes::torus();
+        let before = meshed(&scene);
+        for size in [0.6, 2.4] {
+            let (made, after) = updated(&scene, &before, near(size));
+            let quality = &made.checked.quality;
+            assert!(quality.radius_ratio_min > 0.5 && quality.radius_ratio_mean > 0.9, "{size}: {quality:?}");
+            let edge = mean_edge(&after);
+            assert!((edge / size - 1.0).abs() < 0.15, "{size}: {edge}");
+            // the cone of h ends 2.5 mm outside the ball, and the rim three edges of up to 1.6 h farther
+            let has_bits = |q: &DVec3| before.mesh.vertices.contains(q);
+            let changed = after.mesh.vertices.iter().filter(|q| !has_bits(q));
+            let farthest = changed.map(|q| q.distance(PLACE)).fold(0.0, f64::max);
+            assert!(farthest < 4.0 + 2.5 + 5.0 * H, "{size}: {farthest}");
+        }
+    }
+
+    #[test]
+    fn nothing_changes_without_a_change_of_h() {
+        let scene = scenes::torus();
+        let before = meshed(&scene);
+        let (made, after) = updated(&scene, &before, |_| H);
+        assert_eq!(after.mesh, before.mesh);
+        assert_eq!(made.kept.len(), before.mesh.vertices.len());
+    }
+
+    #[test]
+    fn the_finer_mesh_can_be_made_coarse_again() {
+        let scene = scenes::torus();
+        let before = meshed(&scene);
+        let (_, fine) = updated(&scene, &before, near(0.6));
+        let (_, after) = updated(&scene, &fine, |_| H);
+        let [first, between, last] = [&before, &fine, &after].map(|surface| surface.mesh.vertices.len());
+        // the random points of the first mesh are sparser than h allows
+        assert!(between > first + 100 && last < between - 100, "{first}, {between}, {last}");
+        assert!((mean_edge(&after) / H - 1.0).abs() < 0.2, "{}", mean_edge(&after));
+    }
+
+    #[test]
+    fn surfaces_without_h_or_of_another_field_are_refused() {
+        let scene = scenes::torus();
+        let mut surface = meshed(&scene);
+        let told = |surface: &Surface, scene: &Scene| run(surface, scene, |_| H).expect_err("refused").what;
+        assert!(told(&surface, &scenes::sphere()).contains("are not within 1 voxel of F = 0"));
+        surface.point_data.clear();
+        assert_eq!(told(&surface, &scene), "the surface has no array h at its vertices");
+    }
+}
