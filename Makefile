@@ -38,7 +38,7 @@ THREADS ?=
 # Keys that a case may set (pipelines/case/src/keys.rs explains them). The command line takes
 # precedence over the case file. The environment is ignored, because short names such as NAME or
 # SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MATERIALS INSIDE BORDER SPACE SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY RESIZE COUNT SEED \
         BACKEND TET_ORDER FOR ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
@@ -169,6 +169,7 @@ Parameters of a case. They take precedence over the case file; unset parameters 
   VERTICES=...  number of vertices, instead of a size    QUALITY=...   coarse, medium or fine
   SCALE=...     smooth away features below this, mm      BORDER=...    cap, flat or open
   SEED=...      seed for random numbers                  BACKEND=...   auto, gpu or cpu
+  RESIZE="ball:X,Y,Z,RADIUS=H mask:FILE=H"  change h in regions of the finished surface, one after the other
   COUNT=...     number of particles to seed              PHANTOM=...   shape to mesh instead of INPUT: "ball --size 32"
   SPACE=...     world frame of the results: lps, ras, or scanner, that of INPUT [lps]
   SERIES=...    series to mesh, if a folder of DICOM files contains several

@@ -4,13 +4,12 @@
 use crate::folder::{CaseFolder, STAGES, report_name};
 use crate::program;
 use crate::run::Case;
-use crate::stages::{Planned, Programs, command_of, runs};
+use crate::stages::{Command, Planned, Programs, Volume, commands, runs};
 use crate::status::{Problem, State, Status};
 use isoparticles_stage::cli::check::{CHECK_OPTIONS, Known};
 use isoparticles_stage::error::{Error, Result};
 use std::collections::BTreeMap;
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Checks the command lines of the stages that are about to run. If the case has no earlier results
 /// that the run would remove, errors in the content of the volume are ignored here; the run reports
@@ -26,7 +25,7 @@ pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Resu
     let mut known = Known { materials, volume };
     let may_lose = before.is_some_and(|status| status.stages.iter().any(|stage| stage.state == State::Done));
     for planned in stages {
-        let asked = |known: &Known| ask(planned.name(), &planned.program, &planned.arguments, known);
+        let asked = |known: &Known| ask(planned.name(), &planned.commands, known);
         known = match asked(&known) {
             Err(_) if known.volume && !may_lose => asked(&Known { volume: false, ..known })?,
             answer => answer?,
@@ -43,10 +42,10 @@ fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
     table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
 }
 
-/// Cache of the results of `--check-options`, by program, arguments and known facts. Most cases of
+/// Cache of the results of `--check-options`, by commands and known facts. Most cases of
 /// a list have the same options, so most calls are avoided.
 #[derive(Default)]
-pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
+pub struct Answers(BTreeMap<(Vec<Command>, String), Result<Known>>);
 
 impl Answers {
     /// Checks the options of a case for the stages up to `goal`. The check does not depend on the
@@ -64,12 +63,12 @@ impl Answers {
             if stage == "read" || !runs(stage, &case.volume) {
                 continue;
             }
-            let (program, arguments) = command_of(stage, &folder, &case.settings, programs);
+            let (commands, _) = commands(stage, &folder, &Volume::Phantom, &case.settings, programs);
             // A missing program is reported by the run itself.
-            if program.exists() {
+            if commands.iter().all(|command| command.program.exists()) {
                 let told = serde_json::json!(known).to_string();
-                let answer = self.0.entry((program.clone(), arguments.clone(), told));
-                known = answer.or_insert_with(|| ask(stage, &program, &arguments, &known)).clone()?;
+                let answer = self.0.entry((commands.clone(), told));
+                known = answer.or_insert_with(|| ask(stage, &commands, &known)).clone()?;
             }
             if stage == goal {
                 break;
@@ -79,9 +78,13 @@ impl Answers {
     }
 }
 
-/// Runs one stage with `--check-options`. Returns the known facts about the case for the next
-/// stage, including facts that this stage adds.
-fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
+/// Runs the commands of a stage with `--check-options`. Returns the known facts about the case for
+/// the next stage, including facts that this stage adds.
+fn ask(stage: &str, commands: &[Command], known: &Known) -> Result<Known> {
+    commands.iter().try_fold(known.clone(), |known, command| ask_one(stage, command, &known))
+}
+
+fn ask_one(stage: &str, Command { program, arguments }: &Command, known: &Known) -> Result<Known> {
     let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
     words.extend_from_slice(arguments);
     let output = program::output(program, &words)?;

@@ -80,7 +80,7 @@ pub const STAGES: [Belongings; 8] = [
         stage: "reconstruct",
         output: "surface.vtp",
         stems: &["surface"],
-        folders: &[],
+        folders: &["updates"],
         set_aside: &["surface.vtp"],
         explains: &["surface.offending.vtp"],
     },

@@ -38,7 +38,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order of the help text.
-pub const KEYS: [Key; 40] = [
+pub const KEYS: [Key; 41] = [
     key("CASE", Form::Text, "the case file in pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -74,6 +74,11 @@ pub const KEYS: [Key; 40] = [
     key("MAX_SIZE", Form::Positive, "the maximum edge length, mm"),
     key("VERTICES", Form::Whole(4), "the number of vertices of the surface"),
     key("QUALITY", Form::OneOf(&["coarse", "medium", "fine"]), "how fine the mesh is"),
+    key(
+        "RESIZE",
+        Form::Words,
+        "changes of the edge length in regions of the finished surface: ball:X,Y,Z,RADIUS=H or mask:FILE=H, in this order",
+    ),
     key("COUNT", Form::Whole(4), "the number of particles to seed"),
     key("SEED", Form::Whole(0), "the seed for random numbers"),
     key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "the device that moves the particles"),

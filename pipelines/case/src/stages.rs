@@ -59,15 +59,22 @@ pub enum Volume {
     Phantom,
 }
 
+/// A program and its arguments.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Command {
+    /// The program.
+    pub program: PathBuf,
+    /// Arguments of the program.
+    pub arguments: Vec<OsString>,
+}
+
 /// One stage, ready to run.
 #[derive(Debug)]
 pub struct Planned {
     /// The files of the stage.
     pub belongings: &'static Belongings,
-    /// The program.
-    pub program: PathBuf,
-    /// Arguments of the program.
-    pub arguments: Vec<OsString>,
+    /// The commands, which run one after the other.
+    pub commands: Vec<Command>,
     /// Path of the report, relative to the folder of the case; `None` for the phantom.
     pub report: Option<String>,
     /// Hash of everything that the result depends on, including earlier stages.
@@ -81,9 +88,16 @@ impl Planned {
         self.belongings.stage
     }
 
-    /// Returns the command line, quoted for a shell.
+    /// Returns the command lines, quoted for a shell, one per line.
     #[must_use]
     pub fn command_line(&self) -> String {
+        self.commands.iter().map(Command::line).collect::<Vec<_>>().join("\n")
+    }
+}
+
+impl Command {
+    /// Returns the command line, quoted for a shell.
+    fn line(&self) -> String {
         let words = std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
         let quoted = words.map(|word| {
             let word = word.to_string_lossy();
@@ -130,17 +144,22 @@ pub fn plan(
             inputs.extend(inputs::of_crop(settings, before)?);
         }
         inputs.extend(inputs::named_in(settings, options_key(name), before)?);
+        if name == "reconstruct" {
+            inputs.extend(inputs::named_in(settings, "RESIZE", before)?);
+        }
         let options = options(name, settings);
         let hxt = hxt(name, settings);
-        let (program, files) = program_of(name, programs);
+        let (_, files) = program_of(name, programs);
         // The key depends on the content and extension of a file, not on its path.
         let contents: Vec<_> = inputs.iter().map(|input| (&input.hash, input.path.extension())).collect();
-        let text = format!("{name}\n{options:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
+        let resizes = resizes(name, settings);
+        let text =
+            format!("{name}\n{options:?}{resizes:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
         let key = blake3::hash(text.as_bytes()).to_hex().to_string();
         earlier.clone_from(&key);
         plan.inputs.extend(inputs);
-        let (arguments, report) = arguments(name, folder, volume, options, settings);
-        plan.stages.push(Planned { belongings, program, arguments, report, key });
+        let (commands, report) = commands(name, folder, volume, settings, programs);
+        plan.stages.push(Planned { belongings, commands, report, key });
     }
     refuse_own_results(folder, &plan.inputs)?;
     Ok(plan)
@@ -164,8 +183,14 @@ pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
         words.extend(options("read", settings));
     }
     words.extend(options(stage, settings));
+    words.extend(resizes(stage, settings));
     words.extend(hxt(stage, settings).map(str::to_owned));
     words
+}
+
+/// Returns the regions of the RESIZE setting if `stage` is `reconstruct`, which applies them.
+fn resizes(stage: &str, settings: &Settings) -> Vec<String> {
+    if stage == "reconstruct" { settings.words("RESIZE") } else { Vec::new() }
 }
 
 /// Returns the HXT setting if `stage` is `tetmesh-check`. The same options give different
@@ -184,16 +209,86 @@ pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     }
 }
 
-/// Returns the program of a stage and its arguments, for a volume in the folder of the case.
+/// Returns the commands of a stage, and the path of its report.
 #[must_use]
-pub fn command_of(
+pub fn commands(
     stage: &str,
     folder: &CaseFolder,
+    volume: &Volume,
     settings: &Settings,
     programs: &Programs,
-) -> (PathBuf, Vec<OsString>) {
-    let (words, _) = arguments(stage, folder, &Volume::Phantom, options(stage, settings), settings);
-    (program_of(stage, programs).0, words)
+) -> (Vec<Command>, Option<String>) {
+    let (arguments, report) = arguments(stage, folder, volume, options(stage, settings), settings);
+    let first = Command { program: program_of(stage, programs).0, arguments };
+    let regions = resizes(stage, settings);
+    let commands = if regions.is_empty() { vec![first] } else { updates(first, folder, &regions, settings, programs) };
+    (commands, report)
+}
+
+/// Returns the commands that change the surface of `first` in several regions, one after the other.
+/// The files of each step have the names that the results of the case would have, so their
+/// histories do not depend on the number of regions.
+fn updates(
+    first: Command,
+    folder: &CaseFolder,
+    regions: &[String],
+    settings: &Settings,
+    programs: &Programs,
+) -> Vec<Command> {
+    let word = OsString::from;
+    let file = |ending: &str| folder.file(ending).into_os_string();
+    let step =
+        |at: usize, ending: &str| folder.path.join(UPDATES[at % 2]).join(folder.file_name(ending)).into_os_string();
+    let (size, surface) = ("sizefield.vti", "surface.vtp");
+    let mut commands = vec![first];
+    replace(&mut commands[0].arguments, &file(surface), &step(0, surface));
+    for (before, region) in regions.iter().enumerate() {
+        let is_last = before + 1 == regions.len();
+        let previous = if before == 0 { file(size) } else { step(before, size) };
+        let sized = if is_last { resized(folder) } else { step(before + 1, size) };
+        let made = if is_last { file(surface) } else { step(before + 1, surface) };
+        let program = programs.bin.join("sizefield");
+        let own = [
+            file("distfield.vti"),
+            word("--update"),
+            previous,
+            word("--resize"),
+            word(region),
+            word("-o"),
+            sized.clone(),
+        ];
+        let report = folder.path.join(report_name("reconstruct")).into_os_string();
+        let arguments = own.into_iter().chain(shared(settings, "sizefield")).chain([word("--report"), report.clone()]);
+        commands.push(Command { program, arguments: arguments.collect() });
+        let own = [
+            word("--update"),
+            step(before, surface),
+            word("--distfield"),
+            file("distfield.vti"),
+            word("--sizefield"),
+            sized,
+            word("-o"),
+            made,
+        ];
+        let options = options("reconstruct", settings).into_iter().map(OsString::from);
+        let arguments =
+            own.into_iter().chain(options).chain(shared(settings, "reconstruct")).chain([word("--report"), report]);
+        commands.push(Command { program: programs.bin.join("reconstruct"), arguments: arguments.collect() });
+    }
+    commands
+}
+
+/// Folders of the files of every other update, within the folder of the case. A run removes them
+/// when all updates are done.
+pub const UPDATES: [&str; 2] = ["updates/0", "updates/1"];
+
+/// Returns the path of the size field after all updates.
+fn resized(folder: &CaseFolder) -> OsString {
+    folder.path.join("updates").join(folder.file_name("sizefield.vti")).into_os_string()
+}
+
+fn replace(words: &mut [OsString], from: &OsString, to: &OsString) {
+    words.iter_mut().filter(|word| *word == from).for_each(|word| word.clone_from(to));
 }
 
 /// Returns the name of the key with further options for a stage, or an empty string if there is
@@ -344,9 +439,15 @@ fn arguments(
         "seed" => vec![distfield, sizefield],
         "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
         "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
-        // Mid-edge nodes are projected onto the interfaces, which requires F.
-        _ if settings.get("TET_ORDER") == Some("2") => [file("surface.vtp")].into_iter().chain(fields).collect(),
-        _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
+        _ => {
+            let own = if settings.words("RESIZE").is_empty() { sizefield } else { resized(folder) };
+            let mut words = vec![file("surface.vtp"), word("--sizefield"), own];
+            // Mid-edge nodes are projected onto the interfaces, which requires F.
+            if settings.get("TET_ORDER") == Some("2") {
+                words.extend([word("--distfield"), distfield]);
+            }
+            words
+        }
     };
     words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
     if stage == "particles" {
@@ -355,8 +456,8 @@ fn arguments(
         words.extend([word("--log"), file("passes.csv"), word("--checkpoint"), checkpoint, word("--resume")]);
     }
     words.extend(options.into_iter().map(OsString::from));
-    words.push(word("--force"));
     if stage == "phantom" {
+        words.push(word("--force"));
         return (words, None);
     }
     let report = if stage == "tetmesh-check" {
@@ -365,15 +466,18 @@ fn arguments(
     } else {
         report_name(stage)
     };
-    words.extend(settings.words("VERBOSITY").into_iter().map(OsString::from));
-    if let Some(threads) = settings.get("THREADS") {
-        words.extend([word("--threads"), word(threads)]);
-    }
-    if let Some(memory) = settings.get("MAX_MEMORY").filter(|_| stage != "tetmesh-check") {
-        words.extend([word("--max-memory"), word(memory)]);
-    }
+    words.extend(shared(settings, stage));
     words.extend([word("--report"), folder.path.join(&report).into_os_string()]);
     (words, Some(report))
+}
+
+/// Returns the options that all stages share.
+fn shared(settings: &Settings, stage: &str) -> Vec<OsString> {
+    let mut words = vec!["--force".to_owned()];
+    words.extend(settings.words("VERBOSITY"));
+    let memory = [("--max-memory", "MAX_MEMORY")].iter().filter(|_| stage != "tetmesh-check");
+    words.extend([("--threads", "THREADS")].iter().chain(memory).flat_map(|pair| words_by_key(&[*pair], settings)));
+    words.into_iter().map(OsString::from).collect()
 }
 
 /// Returns an error if an input is a result of the same case, because it would be removed before it

@@ -13,6 +13,7 @@ mod materials;
 mod names;
 mod options;
 mod reruns;
+mod updates;
 
 use glam::DVec3;
 use isoparticles_tests::scene::Shape;
