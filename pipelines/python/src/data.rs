@@ -4,9 +4,10 @@ use crate::errors::raised;
 use crate::pool;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::surface::{
-    DataArray, Simplices, Surface, SurfaceFile, read_surface, write_simplices, write_surface,
+    DataArray, Simplices, Surface, SurfaceFile, encode_surface, read_surface, write_simplices, write_surface,
 };
 use isoparticles_reconstruct::run::MaterialSurfaces;
+use isoparticles_reconstruct::update::Reference;
 use isoparticles_stage::cli::{Context, Listener};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
@@ -31,6 +32,8 @@ pub(crate) struct Kept {
     name: String,
     /// Hash of the file, computed when a history needs it.
     hash: OnceLock<String>,
+    /// What updates of surfaces derive from this distance field.
+    reference: OnceLock<Arc<Reference>>,
 }
 
 /// The result of a stage.
@@ -51,7 +54,7 @@ pub(crate) enum Value {
 
 impl Kept {
     pub(crate) fn new(value: Value, name: String) -> Self {
-        Self { value, name, hash: OnceLock::new() }
+        Self { value, name, hash: OnceLock::new(), reference: OnceLock::new() }
     }
 
     /// Records this value as an input of a run.
@@ -63,6 +66,15 @@ impl Kept {
     /// Returns the distance field or the materials.
     pub(crate) fn distance(&self) -> Result<&DistanceField> {
         if let Value::Distance(distance) = &self.value { Ok(distance) } else { Err(self.is_not("a distance field")) }
+    }
+
+    /// Returns what updates of surfaces derive from the distance field.
+    pub(crate) fn reference(&self, context: &Context) -> Result<Arc<Reference>> {
+        if let Some(reference) = self.reference.get() {
+            return Ok(Arc::clone(reference));
+        }
+        let reference = Arc::new(Reference::new(self.distance()?, context)?);
+        Ok(Arc::clone(self.reference.get_or_init(|| reference)))
     }
 
     /// Returns the size field.
@@ -88,7 +100,10 @@ impl Kept {
             Value::Distance(distance) => hash_written(|file| distance.encode(file)),
             Value::Size(field) => hash_written(|file| field.encode(file)),
             Value::Particles(particles) => hash_written(|file| particles.encode(file)),
-            Value::Surface { .. } => Err(std::io::Error::other("no stage reads surfaces")),
+            Value::Surface { file, .. } => match &file.history {
+                Some(history) => hash_written(|out| encode_surface(out, &file.surface, &file.meta, history)),
+                None => Err(std::io::Error::other("no stage has made it")),
+            },
         };
         let hash = hash.map_err(|error| Error::file(Path::new(&self.name), "hash", &error, "report this bug"))?;
         Ok(self.hash.get_or_init(|| hash).clone())
@@ -119,6 +134,11 @@ impl Kept {
             Value::Particles(file) => Some(&file.particles.geometry),
             Value::Surface { .. } => None,
         }
+    }
+
+    /// Returns the surface with its metadata and history.
+    pub(crate) fn surface_file(&self) -> Result<&SurfaceFile> {
+        if let Value::Surface { file, .. } = &self.value { Ok(file) } else { Err(self.is_not("a surface")) }
     }
 
     fn surface(&self) -> Option<&Surface> {

@@ -63,19 +63,30 @@ pub(crate) fn distance_field(
     })
 }
 
-/// Computes the size field of a distance field.
+/// Computes the size field of a distance field, or changes `previous`.
 #[pyfunction]
+#[pyo3(signature = (words, watch, field, previous=None))]
 pub(crate) fn size_field(
     py: Python<'_>,
     words: Vec<String>,
     watch: Watch<'_>,
     field: &Bound<'_, Data>,
+    previous: Option<&Bound<'_, Data>>,
 ) -> PyResult<Finished> {
-    use isoparticles_sizefield::run::{Args, compute};
-    let (known, field) = (known(py, field)?, keep(field));
+    use isoparticles_sizefield::run::{Args, compute, update};
+    let (known, field, previous) = (known(py, field)?, keep(field), previous.map(keep));
     run(py, "sizefield", words, known, watch, move |args: &Args, context| {
-        field.record(context)?;
-        Ok((Value::Size(compute(args, field.distance()?, context)?), Vec::new()))
+        let made = match previous {
+            Some(previous) => {
+                previous.record(context)?;
+                update(args, previous.sizing()?, context)?
+            }
+            None => {
+                field.record(context)?;
+                compute(args, field.distance()?, context)?
+            }
+        };
+        Ok((Value::Size(made), Vec::new()))
     })
 }
 
@@ -124,7 +135,7 @@ pub(crate) fn settle(
     })
 }
 
-/// Connects particles to a surface.
+/// Connects particles to a surface, or updates a surface.
 #[pyfunction]
 #[pyo3(signature = (words, watch, points, field=None, size=None))]
 pub(crate) fn reconstruct(
@@ -141,13 +152,15 @@ pub(crate) fn reconstruct(
     run(py, "reconstruct", words, known, watch, move |args: &Args, context| {
         let all = std::iter::once(&points).chain(&field).chain(&size);
         all.into_iter().try_for_each(|kept| kept.record(context))?;
-        let particles = points.particles()?.clone();
-        let inputs = match &field {
-            None => Inputs::Particles(particles),
-            Some(field) => {
-                let sizing = size.as_ref().map(|size| size.sizing().cloned()).transpose()?;
-                Inputs::Field { particles, distance: field.distance()?.clone(), sizing }
+        let distance = field.as_ref().map(|field| field.distance().cloned()).transpose()?;
+        let sizing = size.map(|size| size.sizing().cloned()).transpose()?;
+        let inputs = match (distance, sizing) {
+            (Some(distance), Some(sizing)) if args.update => {
+                let reference = field.as_ref().map(|field| field.reference(context)).transpose()?;
+                Inputs::Surface { previous: points.surface_file()?.clone(), distance, sizing, reference }
             }
+            (None, _) => Inputs::Particles(points.particles()?.clone()),
+            (Some(distance), sizing) => Inputs::Field { particles: points.particles()?.clone(), distance, sizing },
         };
         let made = compute(args, inputs, context)?;
         let (meta, failed) = (json!(made.meta), made.meta.failed_checks);

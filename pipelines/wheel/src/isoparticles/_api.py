@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, TypeVar, Unpack
@@ -105,6 +106,7 @@ def _distance_field(given: Source, name: str, words: list[str], progress: Progre
 def size_field(
     field: DistanceField,
     *,
+    update: SizeField | None = None,
     name: str = ENDINGS["sizefield"],
     progress: Progress = None,
     **options: Unpack[SizefieldOptions],
@@ -115,6 +117,8 @@ def size_field(
     ----------
     field
         The distance field.
+    update
+        A size field to change by ``resize``, instead of a new one.
     name, progress
         As for :func:`distance_field`.
     **options
@@ -130,12 +134,24 @@ def size_field(
     >>> size.array.shape == field.array.shape
     True
     """
-    return _size_field(field, name, words_of("sizefield", options), progress)
+    return _size_field(field, update, name, words_of("sizefield", options), progress)
 
 
-def _size_field(field: DistanceField, name: str, words: list[str], progress: Progress) -> SizeField:
+def _size_field(
+    field: DistanceField, update: SizeField | None, name: str, words: list[str], progress: Progress
+) -> SizeField:
     expect(DistanceField, field=field)
-    return _run(SizeField, _native.size_field, [field.name], (field._data,), name, words, progress)
+    files, inputs = [field.name], [field._data]
+    if update is not None:
+        expect(SizeField, update=update)
+        files += ["--update", previous(update)]
+        inputs.append(update._data)
+    return _run(SizeField, _native.size_field, files, tuple(inputs), name, words, progress)
+
+
+def previous(result: SizeField | Surface) -> str:
+    """Return the word for a result whose name may also be that of the new result."""
+    return f"previous/{result.name}"
 
 
 def seed(
@@ -202,7 +218,7 @@ def _settle(
 
 
 def reconstruct(
-    particles: Particles,
+    particles: Particles | Surface,
     field: DistanceField | None,
     size: SizeField | None = None,
     *,
@@ -217,7 +233,8 @@ def reconstruct(
     Parameters
     ----------
     particles
-        Settled particles.
+        Settled particles; or a surface of ``field``, which changes where ``size`` differs from h at
+        its vertices.
     field
         The distance field. It may be None with ``method="tight-cocone"``.
     size
@@ -231,15 +248,20 @@ def reconstruct(
 
 
 def _reconstruct(
-    particles: Particles,
+    particles: Particles | Surface,
     field: DistanceField | None,
     size: SizeField | None,
     name: str,
     words: list[str],
     progress: Progress,
 ) -> Surface:
-    expect(Particles, particles=particles)
-    files, inputs = [particles.name], [particles._data]
+    if isinstance(particles, Surface):
+        expect(SizeField, size=size)
+        files = ["--update", previous(particles)]
+    else:
+        expect(Particles, particles=particles)
+        files = [particles.name]
+    inputs = [particles._data]
     if field is not None:
         expect(DistanceField, field=field)
         files += ["--distfield", field.name]
@@ -304,12 +326,13 @@ def mesh(
         return f"{name}.{ENDINGS[stage]}", words[stage], progress
 
     field = _distance_field(given, *called("distfield"))
-    size = _size_field(field, *called("sizefield"))
+    size = _size_field(field, None, *called("sizefield"))
     seeds = _seed(field, size, *called("seed"))
     particles = _settle(seeds, field, size, *called("particles"))
     surface = _reconstruct(particles, field, size, *called("reconstruct"))
     passed = {key: value for key, value in settings.items() if key in ("accept_forced", "threads", "max_memory")}
-    return Mesh(name, field, size, seeds, particles, surface, {"progress": progress, **passed})
+    made = Mesh(name, field, size, seeds, particles, surface, {"progress": progress, **passed})
+    return made.update(*shlex.split(settings.get("resize") or ""), progress=progress)
 
 
 def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | Surface:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isoparticles._fill import Tetrahedra, fill
+from isoparticles._progress import Progress
 from isoparticles._report import Report, read_report
 from isoparticles._results import ENDINGS, DistanceField, Particles, SizeField, Surface, refuse_existing
 
@@ -82,6 +83,47 @@ class Mesh:
     def failed_checks(self) -> list[str]:
         """The failed checks of all stages."""
         return [check for result in self.stages.values() for check in result.failed_checks]
+
+    def update(self, *resize: str, progress: Progress = None) -> Mesh:
+        """Return a mesh with another edge length in some regions; this one stays as it is.
+
+        Only the surface in the regions and in a rim around them changes. The positions of all other
+        vertices stay the same, bit for bit.
+
+        Parameters
+        ----------
+        resize
+            The regions with their edge lengths, as for the option ``--resize`` of ``sizefield``:
+            ``ball:X,Y,Z,RADIUS=H`` or ``mask:FILE=H``, in world coordinates and mm. They are applied
+            one after the other.
+        progress
+            As for :func:`isoparticles.distance_field`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import isoparticles as iso
+        >>> x, y, z = np.mgrid[:16, :16, :16] - 7.5
+        >>> mesh = iso.mesh(5 - np.sqrt(x**2 + y**2 + z**2), iso=0, size=1.5, backend="cpu")
+        >>> finer = mesh.update("ball:12.5,7.5,7.5,2=0.6")
+        >>> len(finer.result.vertices) > len(mesh.result.vertices)
+        True
+        """
+        from isoparticles._api import reconstruct, size_field
+
+        shared = {key: self._filling[key] for key in ("threads", "max_memory") if key in self._filling}
+        accepted = {key: self._filling[key] for key in ("accept_forced",) if key in self._filling}
+        size, result = self.size, self.result
+        if not resize:
+            return self
+        for region in resize:
+            size = size_field(
+                self.field, update=size, resize=region, name=size.name, progress=progress, **shared
+            )
+            result = reconstruct(
+                result, self.field, size, name=result.name, progress=progress, **shared, **accepted
+            )
+        return Mesh(self.name, self.field, size, self.seeds, self.particles, result, self._filling)
 
     def save(self, folder: str | PathLike[str], name: str | None = None, *, overwrite: bool = False) -> None:
         """Write ``NAME.distfield.vti`` and the files of the other stages to a folder.
