@@ -42,7 +42,7 @@ KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MAT
         BACKEND TET_ORDER FOR ACCEPT_LOSSES ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
-OTHERS := CASE CASES LIST TIME_LIMIT BUILD PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
+OTHERS := CASE CASES LIST TIME_LIMIT PORT BUILD PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV
 # Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
@@ -73,7 +73,7 @@ endif
 by_user = $(filter command,$(firstword $(origin $(1))))
 unknown := $(strip $(foreach name,$(.VARIABLES),$(if $(call by_user,$(name)),$(filter-out $(KEYS) $(OTHERS),$(name)))))
 ifneq ($(unknown),)
-  ifeq ($(filter $(CASE_GOALS) demo cases batch cluster index,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
+  ifeq ($(filter $(CASE_GOALS) demo cases batch cluster index view,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
     $(call stop,$(unknown): no such variable,it would be ignored,choose among $(KEYS) $(OTHERS))
   endif
 endif
@@ -98,7 +98,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ----------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index view build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
 
 define HELP
@@ -121,6 +121,8 @@ Volumes in, simulation-ready meshes out.
   make surface ...                             stop at the triangles; distfield, sizefield, seed, particles stop earlier
   make verdict CASE=heart                      print the outcome: verdict, warnings, path of the page
   make page CASE=heart                         regenerate its page
+  make view CASE=heart                         look at the case in the browser and refine it there (PORT=8765; NAME=...,
+                                               INPUT=v.nrrd)
   make index                                   make a page about all cases in OUT (also part of make cases)
   make clean CASE=heart                        remove its results folder (or give NAME=...)
   make wheel                                   build target/wheel/isoparticles-*.whl; pip install it, then run
@@ -250,6 +252,14 @@ $(SNAKEMAKE_VENV)/.made: pipelines/snakemake.lock | env
 index: build env
 	@$(call case,index)
 
+# Shows the results of a case or, if there are none, its volume.
+PORT ?= 0
+results_name = $(or $(NAME),$(CASE))
+viewed = $(or $(and $(results_name),$(patsubst %/,%,$(dir $(firstword $(wildcard $(OUT)/$(results_name)/*.status.json))))),$(INPUT))
+view: build env
+	$(if $(viewed),,$(call stop,no case,the page shows the results of a case or a volume,give CASE=... or NAME=... or INPUT=...))
+	@$(VENV)/bin/python -m isoparticles view $(call quote,$(viewed)) --out $(call quote,$(OUT)) $(if $(results_name),--name $(call quote,$(results_name))) --port $(PORT)
+
 case-%: build env
 	@$(MAKE) --no-print-directory CASE=$* CASES= NO_BUILD=yes mesh
 
@@ -296,7 +306,7 @@ sdist: $(WHEEL_VENV)/.made completions
 	@$(WHEEL_VENV)/bin/python -m hatchling build -t sdist -d $(WHEEL)
 ifneq ($(SDIST_TEST),)
 	@$(VENV)/bin/python -m venv $(WHEEL)/fresh
-	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt]" pytest pytest-timeout
+	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt,view]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
 

@@ -95,6 +95,7 @@ pub fn command(known: &[CommandLine]) -> Command {
         .subcommand(of_name("page", "Regenerate the page of a case"))
         .subcommand(of_name("clean", "Remove the results folder of a case"))
         .subcommand(of_name("demo", "Mesh a phantom"))
+        .subcommand(view())
         .subcommand(Command::new("index").about("Write an index page of all cases").args(options()))
         .subcommand(
             Command::new("batch")
@@ -104,6 +105,17 @@ pub fn command(known: &[CommandLine]) -> Command {
         )
         .subcommands(stages)
         .subcommand(Command::new("help").about("List all goals and options"))
+}
+
+/// Returns the goal that shows a case in the browser.
+fn view() -> Command {
+    Command::new("view").about("Look at a case in the browser and refine it there").args([
+        Arg::new("CASE").value_hint(ValueHint::AnyPath).help("Name or folder of a case, or a volume"),
+        Arg::new("out").short('o').long("out").value_name("DIR").value_hint(ValueHint::DirPath),
+        Arg::new("name").long("name").value_name("NAME").help("Name of the results of a volume"),
+        Arg::new("port").long("port").value_name("PORT").help("Port of the page on this computer"),
+        Arg::new("browser").long("browser").num_args(0).help("Open the page in the browser"),
+    ])
 }
 
 fn long(key: &Key) -> String {

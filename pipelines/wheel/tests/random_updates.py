@@ -66,7 +66,9 @@ def main() -> int:
     again = first.update(*regions)
     same = np.array_equal(again.result.vertices, mesh.result.vertices)
     same &= np.array_equal(again.result.triangles, mesh.result.triangles)
-    print(f"median {np.median(seconds):.2f} s, maximum {max(seconds):.2f} s; {failed} failed; replay is the same: {same}")
+    print(
+        f"median {np.median(seconds):.2f} s, maximum {max(seconds):.2f} s; {failed} failed; replay is the same: {same}"
+    )
     return int(bool(failed) or not same)
 
 

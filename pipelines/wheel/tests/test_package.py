@@ -192,6 +192,31 @@ def test_mesh_uses_the_settings_of_a_case(iso: ModuleType, tmp_path: Path) -> No
     assert result.result.materials == result.field.materials == ["outside", "left", "right"]
 
 
+def test_updates_are_those_of_a_case(iso: ModuleType, scripts: Path, tmp_path: Path) -> None:
+    write_halves(tmp_path)
+    regions = ["ball:9.5,7.6,11.9,3=0.8", "ball:9.5,7.6,5,3=2.2"]
+    words = ["surface", "in.vti", "--materials", "left:1,right:2", "--size", "1.4", "--backend", "cpu", "-q"]
+    words += ["--scale", "0", "--name", "two", "-o", "out", "--resize", " ".join(regions)]
+    subprocess.run([scripts / "isoparticles", *words], cwd=tmp_path, check=True)
+    settings = {"materials": {"left": 1, "right": 2}, "size": 1.4, "scale": 0, "backend": "cpu", "name": "two"}
+    first = iso.mesh(tmp_path / "in.vti", **settings)
+    assert first.update() is first
+    last = first.update(*regions)
+    last.save(tmp_path / "new")
+    folder = tmp_path / "out" / "two"
+    for name in ("two.surface.vtp", "two.sizefield.vti", "updates/two.sizefield.vti"):
+        assert (tmp_path / "new" / name).read_bytes() == (folder / name).read_bytes(), name
+    again = iso.mesh(tmp_path / "in.vti", **settings, resize=" ".join(regions))
+    np.testing.assert_array_equal(again.result.vertices, last.result.vertices)
+    opened = iso.Mesh.open(folder)
+    np.testing.assert_array_equal(opened.size.array, last.size.array)
+    # the state after the first region is the start of the second update
+    np.testing.assert_array_equal(opened.update(regions[0]).result.vertices, last.update(regions[0]).result.vertices)
+    assert set(map(tuple, first.result.vertices)) & set(map(tuple, last.result.vertices))
+    first.save(folder, overwrite=True)
+    assert not (folder / "updates" / "two.sizefield.vti").exists()
+
+
 # --- Images --------------------------------------------------------------------------------------
 
 

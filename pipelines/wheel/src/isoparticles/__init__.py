@@ -39,6 +39,7 @@ _HOMES = {
     "Mesh": "_mesh",
     **dict.fromkeys(("Quality", "Report", "Volume"), "_report"),
     **dict.fromkeys(("DistanceField", "Particles", "SizeField", "Surface"), "_results"),
+    "view": "viewer",
 }
 """Modules of the public names. They are imported on first use, so the command starts fast."""
 
@@ -62,6 +63,7 @@ __all__ = [
     "seed",
     "settle",
     "size_field",
+    "view",
 ]
 
 

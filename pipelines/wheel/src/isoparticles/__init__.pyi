@@ -4,6 +4,7 @@ from isoparticles._fill import Tetrahedra, fill
 from isoparticles._mesh import Mesh
 from isoparticles._report import Quality, Report, Volume
 from isoparticles._results import DistanceField, Particles, SizeField, Surface
+from isoparticles.viewer import view
 
 __all__ = [
     "DistanceField",
@@ -25,4 +26,5 @@ __all__ = [
     "seed",
     "settle",
     "size_field",
+    "view",
 ]

@@ -332,7 +332,7 @@ def mesh(
     surface = _reconstruct(particles, field, size, *called("reconstruct"))
     passed = {key: value for key, value in settings.items() if key in ("accept_forced", "threads", "max_memory")}
     made = Mesh(name, field, size, seeds, particles, surface, {"progress": progress, **passed})
-    return made.update(*shlex.split(settings.get("resize") or ""), progress=progress)
+    return made.update(*shlex.split(settings.get("resize", "")), progress=progress)
 
 
 def load(path: str | PathLike[str]) -> DistanceField | SizeField | Particles | Surface:

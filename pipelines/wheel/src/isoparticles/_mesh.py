@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isoparticles._errors import Error
 from isoparticles._fill import Tetrahedra, fill
 from isoparticles._progress import Progress
 from isoparticles._report import Report, read_report
@@ -15,6 +16,10 @@ from isoparticles._results import ENDINGS, DistanceField, Particles, SizeField, 
 
 if TYPE_CHECKING:
     import pyvista
+
+
+UPDATES = "updates"
+"""The folder of the size field after the updates of a mesh, in the folder of the mesh."""
 
 
 class Mesh:
@@ -42,6 +47,7 @@ class Mesh:
         particles: Particles,
         result: Surface,
         filling: Mapping[str, Any],
+        first_size: SizeField | None = None,
     ) -> None:
         self.name = name
         self.field = field
@@ -50,6 +56,41 @@ class Mesh:
         self.particles = particles
         self.result = result
         self._filling = filling
+        self._first_size = first_size
+
+    @classmethod
+    def open(cls, folder: str | PathLike[str], name: str | None = None) -> Mesh:
+        """Read the files of a finished case.
+
+        Parameters
+        ----------
+        folder
+            The folder with ``NAME.distfield.vti`` and the files of the other stages. Instead of
+            ``NAME.surface.vtp``, it may contain ``NAME.surface.failed.vtp``.
+        name
+            The name of the case. Default: the name of the folder.
+
+        Raises
+        ------
+        Error
+            If a file is missing or has another kind.
+        """
+        from isoparticles._api import load
+
+        folder = Path(folder)
+        name = folder.resolve().name if name is None else name
+        results: list[Any] = []
+        for stage, made in zip(ENDINGS, (DistanceField, SizeField, Particles, Particles, Surface), strict=True):
+            path = folder / f"{name}.{ENDINGS[stage]}"
+            failed = path.with_suffix(f".failed{path.suffix}")
+            result = load(failed if failed.exists() and not path.exists() else path)
+            if not isinstance(result, made):
+                raise Error(f"{path}: {result.kind}", f"{stage} writes another kind", "run the case again")
+            results.append(result)
+        field, size, seeds, particles, surface = results
+        updated = folder / UPDATES / f"{name}.{ENDINGS['sizefield']}"
+        last: Any = load(updated) if updated.exists() else size
+        return cls(name, field, last, seeds, particles, surface, {}, None if last is size else size)
 
     @property
     def stages(self) -> dict[str, DistanceField | SizeField | Particles | Surface]:
@@ -94,8 +135,8 @@ class Mesh:
         ----------
         resize
             The regions with their edge lengths, as for the option ``--resize`` of ``sizefield``:
-            ``ball:X,Y,Z,RADIUS=H`` or ``mask:FILE=H``, in world coordinates and mm. They are applied
-            one after the other.
+            ``ball:X,Y,Z,RADIUS=H`` or ``mask:FILE=H``, in world coordinates and mm. They are
+            applied one after the other.
         progress
             As for :func:`isoparticles.distance_field`.
 
@@ -117,16 +158,15 @@ class Mesh:
         if not resize:
             return self
         for region in resize:
-            size = size_field(
-                self.field, update=size, resize=region, name=size.name, progress=progress, **shared
-            )
-            result = reconstruct(
-                result, self.field, size, name=result.name, progress=progress, **shared, **accepted
-            )
-        return Mesh(self.name, self.field, size, self.seeds, self.particles, result, self._filling)
+            size = size_field(self.field, update=size, resize=region, name=size.name, progress=progress, **shared)
+            result = reconstruct(result, self.field, size, name=result.name, progress=progress, **shared, **accepted)
+        first = self._first_size or self.size
+        return Mesh(self.name, self.field, size, self.seeds, self.particles, result, self._filling, first)
 
     def save(self, folder: str | PathLike[str], name: str | None = None, *, overwrite: bool = False) -> None:
         """Write ``NAME.distfield.vti`` and the files of the other stages to a folder.
+
+        The size field of an updated mesh is written to the folder ``updates`` in it.
 
         Raises
         ------
@@ -134,12 +174,18 @@ class Mesh:
             If a file exists and ``overwrite`` is false.
         """
         name = self.name if name is None else name
+        paths: dict[Path, DistanceField | SizeField | Particles | Surface]
         paths = {Path(folder) / f"{name}.{ENDINGS[stage]}": result for stage, result in self.stages.items()}
+        updated = Path(folder) / UPDATES / f"{name}.{ENDINGS['sizefield']}"
+        if self._first_size is not None:
+            paths |= {Path(folder) / f"{name}.{ENDINGS['sizefield']}": self._first_size, updated: self.size}
         offending = Path(folder) / f"{name}.surface.offending.vtp"
         refuse_existing([*paths, offending], overwrite)
-        Path(folder).mkdir(parents=True, exist_ok=True)
         for path, result in paths.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
             result.save(path, overwrite=True)
+        if self._first_size is None:
+            updated.unlink(missing_ok=True)
 
     def __repr__(self) -> str:
         checks = f"; failed checks: {'; '.join(self.failed_checks)}" if self.failed_checks else ""

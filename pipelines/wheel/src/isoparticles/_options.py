@@ -126,6 +126,8 @@ class SizefieldOptions(TypedDict, total=False):
     #: Limit h to H (mm) within RADIUS of a point or in the nonzero voxels of a mask volume (on any
     #: grid), or to the values of the point array ``h`` at the points of a .vtp or .vtu file.
     refine: str | Iterable[str]
+    #: Afterwards, set h to H in a region, with the forms of ``--refine``.
+    resize: str | Iterable[str]
     #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int
     #: Memory limit, such as 8G or 500M. Default: the free memory of the machine.
@@ -328,6 +330,9 @@ class MeshSettings(TypedDict, total=False):
     vertices: int
     #: How fine the mesh is.
     quality: Literal["coarse", "medium", "fine"]
+    #: Changes of the edge length in regions of the finished surface: ball:X,Y,Z,RADIUS=H or
+    #: mask:FILE=H, in this order.
+    resize: str
     #: The number of particles to seed.
     count: int
     #: The seed for random numbers.

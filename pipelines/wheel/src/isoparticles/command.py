@@ -19,6 +19,8 @@ from typing import NoReturn
 import tetmesh_check
 
 HERE = Path(__file__).resolve().parent
+BIN = HERE / "bin" if (HERE / "bin").is_dir() else Path(os.environ.get("ISOPARTICLES_BIN", HERE / "bin"))
+"""The folder of the programs: in the wheel, or that of a checkout."""
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
 VOLUME_GOALS = {
     "info": "describe a volume and suggest options",
@@ -53,7 +55,7 @@ class UsageError(Exception):
 def program(name: str) -> str:
     """Return the path of one of the programs in the wheel."""
     ending = ".exe" if os.name == "nt" else ""
-    return str(HERE / "bin" / f"{name}{ending}")
+    return str(BIN / f"{name}{ending}")
 
 
 def scripts() -> Path:
@@ -83,7 +85,7 @@ def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = 
         *settings,
         *options,
         "--bin",
-        str(HERE / "bin"),
+        str(BIN),
         "--tetmesh-check",
         str(scripts() / "tetmesh-check"),
         "--tetmesh-files",
@@ -168,6 +170,7 @@ Volumes in, simulation-ready meshes out.
 {goals}
 {named}
   batch LIST.csv          mesh the case in each row of a list (--goal surface, --time-limit 2h per case)
+  view CASE               look at a case in the browser and refine it there; see view --help
   index                   write an index page of all cases in --out
   demo                    mesh a phantom
   {", ".join(STAGES)}
@@ -204,7 +207,7 @@ def command_of(arguments: Sequence[str]) -> list[str]:
     raise UsageError(
         f"{goal}: no such goal or stage",
         "the first argument must be a goal or a stage",
-        f"choose one of {', '.join((*VOLUME_GOALS, *TOOLS, *NAME_GOALS, 'batch', 'index', 'demo', *STAGES))}",
+        f"choose one of {', '.join((*VOLUME_GOALS, *TOOLS, *NAME_GOALS, 'batch', 'index', 'view', 'demo', *STAGES))}",
     )
 
 
@@ -221,11 +224,15 @@ def main() -> NoReturn:
         print(f"isoparticles {version('isoparticles')}")
         raise SystemExit(0)
     try:
+        if arguments[0] == "view":
+            from isoparticles.viewer import main as view
+
+            raise SystemExit(view(arguments[1:]))
         command = command_of(arguments)
     except UsageError as error:
         print(error, file=sys.stderr)
         raise SystemExit(2) from None
-    environment = {**os.environ, "ISOPARTICLES_BIN": str(HERE / "bin"), "ISOPARTICLES_FRONT": "isoparticles"}
+    environment = {**os.environ, "ISOPARTICLES_BIN": str(BIN), "ISOPARTICLES_FRONT": "isoparticles"}
     if os.name == "posix":
         os.execve(command[0], command, environment)
     raise SystemExit(subprocess.run(command, env=environment, check=False).returncode)
@@ -233,4 +240,4 @@ def main() -> NoReturn:
 
 def is_help(arguments: Sequence[str]) -> bool:
     """Return whether the user requests help for a goal without a help text of its own."""
-    return arguments[0] not in (*STAGES, "read") and any(word in ("-h", "--help") for word in arguments[1:])
+    return arguments[0] not in (*STAGES, "read", "view") and any(word in ("-h", "--help") for word in arguments[1:])

@@ -1,0 +1,126 @@
+"""``isoparticles view CASE`` and :func:`isoparticles.view`: look at a mesh, and refine it there.
+
+The modules: ``case`` opens cases and volumes; ``session`` keeps meshes, updates and undo, and
+``journal`` writes them to disk; ``slices`` and ``scene`` make the pictures; ``places`` lists what
+deserves a look; ``paint`` marks regions; ``run`` works in the background. ``views``, ``control``,
+``choose`` and ``page`` connect all of them with the browser, and ``server`` guards the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from isoparticles._errors import Error
+
+if TYPE_CHECKING:
+    from isoparticles._mesh import Mesh
+
+HELP = """\
+Look at a case in the browser, and refine its mesh by pointing.
+
+CASE is the name of a case in --out, the folder of a case, or a volume. The page has the address
+that is printed, on this computer only. Over SSH, forward the port:
+  ssh -L 8765:127.0.0.1:8765 HOST isoparticles view CASE --port 8765
+"""
+
+
+def expect_trame() -> None:
+    """Raise an Error unless the packages of the page are installed."""
+    missing = [name for name in ("trame", "trame_vtk") if find_spec(name) is None]
+    if missing:
+        raise Error(
+            f"{', '.join(missing)}: not installed",
+            "the page needs these packages",
+            "run: pip install 'isoparticles[view]'",
+        )
+
+
+def view(
+    mesh: Mesh | str | os.PathLike[str],
+    image: str | os.PathLike[str] | None = None,
+    *,
+    folder: str | os.PathLike[str] | None = None,
+    port: int = 0,
+    height: int = 800,
+) -> Any:
+    """Show a mesh or a case in a notebook, or print the address of its page.
+
+    Parameters
+    ----------
+    mesh
+        A mesh, or a case: its name, its folder, or a volume.
+    image
+        The volume behind the slices. Default: the distance field of the mesh.
+    folder
+        The folder that "Save" writes to. Default: that of the case.
+    port
+        The port of the page on this computer; 0 chooses a free one.
+    height
+        The height of the page in the notebook in pixels.
+
+    Returns
+    -------
+    object
+        The page, as an IFrame in a notebook. Its attribute ``page.control.session.mesh`` is the
+        present mesh. Without a notebook, the function returns after Ctrl-C.
+
+    Raises
+    ------
+    Error
+        If the packages of the extra ``view`` are missing, if there is no such case, or if the port
+        is in use.
+    """
+    expect_trame()
+    from isoparticles.viewer import case as cases
+    from isoparticles.viewer.page import Page
+
+    if isinstance(mesh, (str, os.PathLike)):
+        shown = cases.open_case(os.fsdecode(mesh), Path("out"))
+    else:
+        shown = cases.of_mesh(mesh, image, None if folder is None else Path(folder))
+    page = Page(shown, port)
+    if "ipykernel" not in sys.modules:
+        print(f"isoparticles: {page.address}", flush=True)
+        page.start("main")
+        return page
+    page.start("task")
+    frame: Any = import_module("IPython.display").IFrame(page.address, width="100%", height=height)
+    frame.page = page
+    return frame
+
+
+def main(words: Sequence[str]) -> int:
+    """Run ``isoparticles view`` and return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="isoparticles view", description=HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("case", metavar="CASE", help="the name or folder of a case, or a volume")
+    parser.add_argument("-o", "--out", "--output", default="out", metavar="DIR", help="the folder of the results [out]")
+    parser.add_argument("--name", help="the name of the results of a volume [that of its file]")
+    parser.add_argument("--port", type=int, default=0, help="the port [a free one]")
+    parser.add_argument("--browser", action="store_true", help="open the page in the browser")
+    given = parser.parse_args(list(words))
+    try:
+        expect_trame()
+        from isoparticles.viewer import case as cases
+        from isoparticles.viewer.page import Page
+
+        page = Page(cases.open_case(given.case, Path(given.out), given.name), given.port)
+    except Error as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(f"isoparticles: open {page.address}", flush=True)
+    print("isoparticles: Ctrl-C ends the page; the list of updates is kept", flush=True)
+    if given.browser:
+        import webbrowser
+
+        webbrowser.open(page.address)
+    page.start("main")
+    return 0

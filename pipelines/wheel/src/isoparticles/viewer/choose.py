@@ -1,0 +1,187 @@
+"""Choosing the object of a volume that has no mesh: a preview, a prediction, and the run."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import subprocess
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from isoparticles.viewer import case as cases
+from isoparticles.viewer.control import Control
+from isoparticles.viewer.run import StagesJob, info_command, stages_command
+from isoparticles.viewer.scene import PLAIN
+from tetmesh_check.report.page.scan import Scan
+from tetmesh_check.report.page.templates import duration, memory
+
+PREVIEW = 80
+"""Maximum number of voxels of the preview along an axis: its surface takes 0.05 s."""
+SETTLED = 0.3
+"""Seconds without a change after which the cost is predicted."""
+
+
+class Choice:
+    """The panel "Object" of the page."""
+
+    def __init__(self, control: Control) -> None:
+        self.control, self.state = control, control.state
+        scan = control.shown.scan
+        self.scan = scan
+        self._coarse = None if scan is None else coarsened(scan)
+        self._asked = 0
+        self._info: dict[str, Any] | None = None
+        self.state.update({
+            "labels": [], "labels_chosen": [], "as_materials": False, "iso": 0.0, "inside": "above", "vertices_log": 4.3,
+            "vertices": 20_000, "is_default_size": True,
+            "prediction": {"vertices": "", "seconds": "", "memory": "", "note": ""},
+        })  # fmt: skip
+        if scan is None or control.shown.mesh is not None:
+            return
+        if scan.labels:
+            self._list_labels(scan)
+        else:
+            low, high = self.state.levels
+            self.state.iso = float(f"{low + 0.5 * (high - low):.4g}")
+        control.server.trigger("make")(control._safely(self.make))
+        self.state.change("iso", "inside", "labels_chosen")(lambda **_: self.changed())
+        self.state.change("vertices_log", "is_default_size")(lambda **_: self.show_prediction())
+        self.preview()
+
+    def _list_labels(self, scan: Scan) -> None:
+        values, counts = (part.tolist() for part in np.unique(scan.values, return_counts=True))
+        entries = {label: entry for entry in self.control.shown.key for label in entry.labels}
+        self.state.labels = [
+            {"label": v, "name": entries[v].name, "colour": f"#{bytes(entries[v].colour).hex()}", "voxels": f"{n:,}"}
+            for v, n in zip(values, counts, strict=True)
+            if v in entries
+        ]
+        self.state.labels_chosen = [one["label"] for one in self.state.labels]
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The settings of the case that the panel describes."""
+        state, found = self.state, {"INPUT": str(self.control.shown.volume), "NAME": self.control.shown.name}
+        if state.is_scan:
+            found |= {"ISO": f"{float(state.iso):g}", "INSIDE": str(state.inside)}
+        else:
+            labels = sorted(int(label) for label in state.labels_chosen)
+            key = "MATERIALS" if state.as_materials and len(labels) > 1 else "LABELS"
+            # a name must not contain the separators of MATERIALS
+            names = {one["label"]: re.sub(r"[^\w-]+", "_", one["name"]) for one in state.labels}
+            words = [f"{names[label]}:{label}" if key == "MATERIALS" else str(label) for label in labels]
+            found[key] = ",".join(words)
+        if not state.is_default_size:
+            found["VERTICES"] = str(int(state.vertices))
+        return found
+
+    def changed(self) -> None:
+        """Show the object again, and predict its cost a little later."""
+        self.preview()
+        self._asked += 1
+        asyncio.get_running_loop().create_task(self._predict(self._asked))
+
+    def preview(self) -> None:
+        """Show the surface of a coarser volume."""
+        if self._coarse is None or self.state.has_mesh:
+            return
+        scene, scan = self.control.scene, self._coarse
+        try:
+            iso = float(self.state.iso)
+        except (TypeError, ValueError):
+            return
+        if scan.labels:
+            entries = {label: entry for entry in self.control.shown.key for label in entry.labels}
+            chosen = [int(label) for label in self.state.labels_chosen]
+            shown = [(outline_of(scan, scan.values == label, 0.5), entries[label].colour) for label in chosen]
+            scene.show_preview([(surface, tuple(colour)) for surface, colour in shown])
+            whole = outline_of(scan, np.isin(scan.values, chosen), 0.5)
+        else:
+            whole = outline_of(scan, scan.values, iso)
+            scene.show_preview([(whole, PLAIN)])
+        if self.control.slices is not None:
+            self.control.slices.show_surface(whole if whole.n_cells else None)
+        self.control.draw_slices(images=False)
+        self.control.refresh_view()
+
+    async def _predict(self, asked: int) -> None:
+        """Run ``info`` for the latest object, unless another change follows soon."""
+        await asyncio.sleep(SETTLED)
+        if asked != self._asked:
+            return
+        command = info_command(self.settings)
+        done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, check=False)
+        if asked != self._asked:
+            return
+        with self.state:
+            try:
+                self._info = json.loads(done.stdout)["objects"][0]["cost"]
+                note = "" if self._info else "No voxel lies inside."
+            except (ValueError, KeyError, IndexError):
+                self._info = None
+                note = (done.stderr.strip().splitlines() or ["The cost cannot be predicted."])[0]
+            self.state.prediction = {**self.state.prediction, "note": note}
+            self.show_prediction()
+
+    def show_prediction(self) -> None:
+        """Show the predicted cost of the chosen number of vertices."""
+        state, cost = self.state, self._info
+        if cost is not None and state.is_default_size:
+            state.vertices_log = float(np.log10(max(cost["vertices"], 500)))
+        state.vertices = int(float(f"{10 ** float(state.vertices_log):.2g}"))
+        found = {"vertices": f"about {int(state.vertices):,}", "seconds": "", "memory": ""}
+        if cost is not None:
+            seconds, size = scaled(cost, int(state.vertices))
+            found |= {"seconds": f"about {duration(seconds)}", "memory": f"about {memory(size)}"}
+        state.prediction = {**state.prediction, **found}
+
+    def make(self) -> None:
+        """Run the stages."""
+        control = self.control
+        control._expect_idle()
+        job = StagesJob(stages_command(self.settings, control.shown.out))
+        control.begin(job, self._made)
+        job.run()
+
+    def _made(self) -> None:
+        """Show the results of the run."""
+        control = self.control
+        assert control.shown.folder is not None
+        status = control.shown.folder / f"{control.shown.name}.status.json"
+        control.shown = cases.open_results(status)
+        control.open()
+        control.look_at_all()
+
+
+def coarsened(scan: Scan) -> Scan:
+    """Return every n-th voxel, so that no axis has more than ``PREVIEW``."""
+    stride = max(1, -(-max(scan.values.shape) // PREVIEW))
+    values = scan.values[::stride, ::stride, ::stride]
+    return Scan(values, scan.step * stride, scan.origin, scan.anatomical, scan.names, 1, scan.labels)
+
+
+def outline_of(scan: Scan, values: Any, level: float) -> pv.PolyData:
+    """Return the surface of the values above a level, closed at the border of the volume."""
+    low = min(float(np.min(values)), level) - 1.0
+    image = pv.ImageData(dimensions=np.array(values.shape) + 2, spacing=tuple(scan.spacing))
+    image.origin = tuple(scan.origin - scan.step.sum(axis=1))
+    image.direction_matrix = scan.step / scan.spacing
+    padded = np.pad(np.nan_to_num(values.astype(np.float32), nan=low), 1, constant_values=low)
+    surface: Any = image.contour([level], scalars=padded.flatten(order="F"), method="flying_edges")
+    triangles: pv.PolyData = surface.triangulate()
+    return triangles
+
+
+def scaled(cost: dict[str, Any], vertices: int) -> tuple[float, float]:
+    """Return processor time and memory of the surface for a number of vertices.
+
+    ``info`` predicts them for the default sizes. The time of the particles and of the triangles is
+    proportional to the vertices; the memory is an upper estimate if there are fewer.
+    """
+    share = vertices / max(cost["vertices"], 1)
+    stages = {stage["stage"]: stage for stage in cost["stages"] if stage["stage"] != "tetrahedra"}
+    seconds = sum(stage["seconds"] * (1.0 if name == "fields" else share) for name, stage in stages.items())
+    return seconds, max(stage["bytes"] for stage in stages.values()) * max(share, 1.0)
