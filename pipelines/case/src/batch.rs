@@ -6,12 +6,12 @@
 //! `OUT/batch.csv`, which has one line per row, and an index of all cases.
 
 use crate::check::Answers;
+use crate::command::{Programs, Volume};
 use crate::folder::CaseFolder;
 use crate::keys::{self, KEYS};
 use crate::program::{self, Ended};
 use crate::run::{Case, out, problem, stage_of_goal};
 use crate::settings::Settings;
-use crate::stages::{Programs, Volume};
 use crate::status::{FORMAT, Problem, Stage, State, Status, VERSION, Verdict};
 use crate::{index, verdict};
 use isoparticles_stage::error::{Error, Result};

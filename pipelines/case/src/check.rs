@@ -1,10 +1,11 @@
 //! Checks the command lines of the stages with `--check-options` before anything is removed or
 //! started.
 
+use crate::command::{Command, Programs, Volume};
 use crate::folder::{CaseFolder, STAGES, report_name};
 use crate::program;
 use crate::run::Case;
-use crate::stages::{Command, Planned, Programs, Volume, commands, runs};
+use crate::stages::{Planned, commands, runs};
 use crate::status::{Problem, State, Status};
 use isoparticles_stage::cli::check::{CHECK_OPTIONS, Known};
 use isoparticles_stage::error::{Error, Result};

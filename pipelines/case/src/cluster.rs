@@ -6,13 +6,14 @@
 //! The status file of each case records the outcome.
 
 use crate::batch::{self, Batch, Ending, LOGS, Row};
+use crate::command::{self, Programs, Volume};
 use crate::folder::{CaseFolder, PAGE, STAGES};
 use crate::inputs::{self, hash_program};
 use crate::program;
 use crate::read;
 use crate::run::{Case, UNNAMED, goal_of_stage, out, problem, stage_of_goal};
 use crate::settings::Settings;
-use crate::stages::{self, Programs, Volume};
+use crate::stages;
 use crate::status::{Problem, Stage, State, Status, Verdict};
 use crate::verdict;
 use isoparticles_stage::error::{Error, Result};
@@ -70,9 +71,9 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
     let hashes: BTreeMap<&str, String> = wanted(batch)
         .into_iter()
         .map(|stage| {
-            let mut files = stages::program_of(stage, programs).1;
+            let mut files = command::program_of(stage, programs).1;
             if stage == "distfield" {
-                files.extend(UNNAMED.iter().flat_map(|stage| stages::program_of(stage, programs).1));
+                files.extend(UNNAMED.iter().flat_map(|stage| command::program_of(stage, programs).1));
             }
             (stage, hash_program(&files))
         })
@@ -165,7 +166,7 @@ fn info(row: &Row, volume: &Path, out: &Path, programs: &Programs) -> Vec<String
     let output = out.join(FOLDER).join("info").join(format!("{}.json", row.name));
     let program = programs.bin.join("isoparticles-volume").into_os_string();
     let mut command = vec![program, "info".into(), volume.as_os_str().to_owned()];
-    let reading = row.case.iter().flat_map(|case| stages::words_by_key(&stages::READING_BY_KEY, &case.settings));
+    let reading = row.case.iter().flat_map(|case| command::words_by_key(&command::READING_BY_KEY, &case.settings));
     command.extend(reading.map(OsString::from));
     command.extend(["--json".into(), output.into_os_string(), "--force".into()]);
     command.into_iter().map(text).collect()
@@ -176,7 +177,7 @@ fn inputs_of(stage: &str, case: &Case) -> Vec<PathBuf> {
         ("distfield", Volume::At(path)) => inputs::paths_of_volume(path),
         _ => Vec::new(),
     };
-    paths.extend(inputs::paths_named_in(&case.settings, stages::options_key(stage)));
+    paths.extend(inputs::paths_named_in(&case.settings, command::options_key(stage)));
     if stage == "distfield" {
         paths.extend(inputs::crop_mask(&case.settings).iter().flat_map(|mask| inputs::paths_of_volume(mask)));
         paths.extend(inputs::paths_named_in(&case.settings, "PHANTOM"));

@@ -1,8 +1,8 @@
 //! Generates the index of all cases in a folder from their status files.
 
+use crate::command::Programs;
 use crate::folder::CaseFolder;
 use crate::program::{self, Ended};
-use crate::stages::Programs;
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

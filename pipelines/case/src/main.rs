@@ -2,10 +2,10 @@
 
 use clap::Parser;
 use isoparticles_case::batch::{Batch, Ending};
+use isoparticles_case::command::{Programs, READING_BY_KEY, Volume, words_by_key};
 use isoparticles_case::folder::CaseFolder;
 use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
-use isoparticles_case::stages::{Programs, READING_BY_KEY, Volume, words_by_key};
 use isoparticles_case::status::Status;
 use isoparticles_case::{batch, cluster, front, index, keys, name, program, read, verdict};
 use isoparticles_stage::cli::shell;

@@ -1,9 +1,9 @@
 //! The stage `read`, which converts volumes in formats that the other stages do not read: HDF5,
 //! MATLAB and Zarr. The program is written in Python and is installed beside `tetmesh-check`.
 
+use crate::command::{Programs, Volume, options};
 use crate::program::{self, Ended};
 use crate::settings::Settings;
-use crate::stages::{Programs, Volume, options};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::foreign_content;
 use std::ffi::OsString;

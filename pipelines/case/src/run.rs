@@ -1,13 +1,14 @@
 //! Runs a case: finds the stages that have to run, removes results that are out of date, runs the
 //! stages and updates the status.
 
+use crate::command::{Programs, Volume, open_border};
 use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
 use crate::inputs::{self, hash_program};
 use crate::program::{self, Ended};
 use crate::settings::Settings;
-use crate::stages::{Plan, Planned, Programs, UPDATES, Volume, plan};
+use crate::stages::{Plan, Planned, plan};
 use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, VOLUME, Verdict};
-use crate::{check, name, read, stages, verdict};
+use crate::{check, name, read, updates, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
 use std::ops::Range;
@@ -96,8 +97,7 @@ impl Case {
     pub(crate) fn check_goal(&self, stage: &str) -> Result<()> {
         // With many materials, distfield itself rejects an open border.
         let of_one_object = self.settings.get("MATERIALS").is_none();
-        let Some(set_by) = stages::open_border(&self.settings).filter(|_| stage == "tetmesh-check" && of_one_object)
-        else {
+        let Some(set_by) = open_border(&self.settings).filter(|_| stage == "tetmesh-check" && of_one_object) else {
             return Ok(());
         };
         Err(Error::input(
@@ -297,7 +297,7 @@ impl<'a> Run<'a> {
         let mut others = folder.files_of(planned.belongings);
         others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
-        let ended = run_commands(folder, planned);
+        let ended = updates::run(folder, &planned.commands);
         let seconds = Some(started.elapsed().as_secs_f64());
         let mut stage = Stage { seconds, ..stage };
         let report = planned.report.as_deref().and_then(|name| Report::read(&folder.path.join(name)));
@@ -352,28 +352,6 @@ impl<'a> Run<'a> {
         self.status.page_key = key;
         make_page(folder, &mut self.status, programs)
     }
-}
-
-/// Runs the commands of a stage until one does not succeed. The files of intermediate updates are
-/// removed in any case.
-///
-/// # Errors
-/// If a program cannot be started, or a folder cannot be made or removed.
-fn run_commands(folder: &CaseFolder, planned: &Planned) -> Result<Ended> {
-    let between = UPDATES.map(|name| folder.path.join(name));
-    let has_updates = planned.commands.len() > 1;
-    for path in between.iter().filter(|_| has_updates) {
-        std::fs::create_dir_all(path)
-            .map_err(|error| Error::file(path, "create", &error, "check the folder's permissions"))?;
-    }
-    let mut ended = Ok(Ended::Code(0));
-    for command in &planned.commands {
-        if matches!(ended, Ok(Ended::Code(0))) {
-            ended = program::run(&command.program, &command.arguments);
-        }
-    }
-    between.iter().filter(|_| has_updates).for_each(|path| drop(std::fs::remove_dir_all(path)));
-    ended
 }
 
 /// Generates the page of a case if the page program is installed, and writes the status with the

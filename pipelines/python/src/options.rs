@@ -4,10 +4,10 @@
 use crate::errors::raised;
 use clap::builder::ValueParser;
 use clap::{Arg, ArgAction, Command, CommandFactory};
+use isoparticles_case::command;
 use isoparticles_case::keys::{Form, KEYS};
 use isoparticles_case::name::of_volume;
 use isoparticles_case::settings::Settings;
-use isoparticles_case::stages;
 use isoparticles_stage::cli::{FILES, SHARED_OPTIONS};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
@@ -101,7 +101,7 @@ pub(crate) fn case_keys() -> String {
 #[pyfunction]
 pub(crate) fn case_words(py: Python<'_>, settings: Vec<String>) -> PyResult<Vec<(&'static str, Vec<String>)>> {
     let settings = Settings::read(&settings, &[], None, &[]).map_err(|error| raised(py, error))?;
-    Ok(STAGES.iter().map(|&stage| (stage, stages::options(stage, &settings))).collect())
+    Ok(STAGES.iter().map(|&stage| (stage, command::options(stage, &settings))).collect())
 }
 
 /// Returns the name of the case of a volume.
