@@ -960,7 +960,7 @@ def test_the_package_is_light(site: Path) -> None:
     assert script(site, text).stdout == "fine\n"
 
 
-@pytest.mark.parametrize("name", ["isoparticles", "isoparticles._api"])
+@pytest.mark.parametrize("name", ["isoparticles", "isoparticles._stages", "isoparticles._api", "isoparticles._mesh"])
 def test_examples_of_the_docstrings(iso: ModuleType, name: str) -> None:
     del iso
     failed, attempted = doctest.testmod(importlib.import_module(name))

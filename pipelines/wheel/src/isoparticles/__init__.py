@@ -33,7 +33,8 @@ True
 from importlib import import_module
 
 _HOMES = {
-    **dict.fromkeys(("distance_field", "load", "mesh", "reconstruct", "seed", "settle", "size_field"), "_api"),
+    "mesh": "_api",
+    **dict.fromkeys(("distance_field", "load", "reconstruct", "seed", "settle", "size_field"), "_stages"),
     **dict.fromkeys(("Error", "MeshWarning"), "_errors"),
     **dict.fromkeys(("Tetrahedra", "fill"), "_fill"),
     "Mesh": "_mesh",

@@ -13,6 +13,7 @@ from isoparticles._fill import Tetrahedra, fill
 from isoparticles._progress import Progress
 from isoparticles._report import Report, read_report
 from isoparticles._results import ENDINGS, DistanceField, Particles, SizeField, Surface, refuse_existing
+from isoparticles._stages import load, reconstruct, size_field
 
 if TYPE_CHECKING:
     import pyvista
@@ -75,8 +76,6 @@ class Mesh:
         Error
             If a file is missing or has another kind.
         """
-        from isoparticles._api import load
-
         folder = Path(folder)
         name = folder.resolve().name if name is None else name
         results: list[Any] = []
@@ -150,8 +149,6 @@ class Mesh:
         >>> len(finer.result.vertices) > len(mesh.result.vertices)
         True
         """
-        from isoparticles._api import reconstruct, size_field
-
         shared = {key: self._filling[key] for key in ("threads", "max_memory") if key in self._filling}
         accepted = {key: self._filling[key] for key in ("accept_forced",) if key in self._filling}
         size, result = self.size, self.result

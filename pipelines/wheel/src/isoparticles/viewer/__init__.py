@@ -78,7 +78,7 @@ def view(
         is in use.
     """
     expect_trame()
-    from isoparticles.viewer import case as cases
+    import isoparticles.viewer.case as cases
     from isoparticles.viewer.page import Page
 
     if isinstance(mesh, (str, os.PathLike)):
@@ -109,7 +109,7 @@ def main(words: Sequence[str]) -> int:
     given = parser.parse_args(list(words))
     try:
         expect_trame()
-        from isoparticles.viewer import case as cases
+        import isoparticles.viewer.case as cases
         from isoparticles.viewer.page import Page
 
         page = Page(cases.open_case(given.case, Path(given.out), given.name), given.port)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
-from isoparticles.viewer import case as cases
+import isoparticles.viewer.case as cases
 from isoparticles.viewer.control import Control
 from isoparticles.viewer.run import StagesJob, info_command, stages_command
 from isoparticles.viewer.scene import PLAIN

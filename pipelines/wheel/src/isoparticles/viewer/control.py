@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+import isoparticles.viewer.case as cases
 from isoparticles._errors import Error
-from isoparticles.viewer import case as cases
 from isoparticles.viewer.run import Job
 from isoparticles.viewer.session import Ball, Mask, Request, command_line, size_at
 from isoparticles.viewer.views import Views

@@ -9,7 +9,7 @@ from trame.app import get_server  # type: ignore[import-untyped, unused-ignore]
 from trame.ui.html import DivLayout  # type: ignore[import-untyped, unused-ignore]
 from trame.widgets import client, vtk  # type: ignore[import-untyped, unused-ignore]
 
-from isoparticles.viewer import case as cases
+import isoparticles.viewer.case as cases
 from isoparticles.viewer.choose import Choice
 from isoparticles.viewer.control import Control
 from isoparticles.viewer.server import PageServer

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from isoparticles._errors import Error
+from isoparticles._programs import case_arguments, program
 
 LINES = 400
 """Lines of the log that are kept for the page."""
@@ -142,16 +143,12 @@ class StagesJob(Job):
 
 def stages_command(settings: dict[str, str], out: Path) -> list[str]:
     """Return the command line that makes the surface of a volume."""
-    from isoparticles.command import case_arguments
-
     words = [f"{key}={value}" for key, value in {**settings, "OUT": str(out)}.items() if value]
     return case_arguments("surface", words)
 
 
 def info_command(settings: dict[str, str]) -> list[str]:
     """Return the command line that predicts the cost of an object, as JSON on stdout."""
-    from isoparticles.command import program
-
     words = [program("isoparticles-volume"), "info", settings["INPUT"], "--json", "-"]
     if "ISO" in settings:
         return [*words, "--iso", settings["ISO"], "--inside", settings["INSIDE"]]

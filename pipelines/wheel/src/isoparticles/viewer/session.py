@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+import isoparticles.viewer.journal as journals
 from isoparticles._errors import Error
-from isoparticles.viewer import journal as journals
 
 if TYPE_CHECKING:
     from isoparticles._mesh import Mesh

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import isoparticles.viewer.case as cases
+import isoparticles.viewer.places as found_places
 from isoparticles._errors import Error
-from isoparticles.viewer import case as cases
-from isoparticles.viewer import places as found_places
 from isoparticles.viewer.paint import Paint
 from isoparticles.viewer.run import Job
 from isoparticles.viewer.scene import Scene, shades_of_materials
