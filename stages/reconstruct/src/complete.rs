@@ -2,7 +2,7 @@
 
 use crate::check::{CheckOptions, CheckReport, Truth, check};
 use crate::held::one_of_each_component;
-use crate::improve::{Freedom, ImproveOptions, ImproveReport, SheetsOf, improve_sheets};
+use crate::improve::{ImproveOptions, ImproveReport, improve};
 use crate::interfaces::Interfaces;
 use crate::options::Options;
 use crate::queue::Reason;
@@ -59,14 +59,8 @@ impl Completion<'_> {
             sides: self.options.guarded(self.samples),
             within,
         };
-        let mut freedom = vec![Freedom::Sheet; mesh.vertices.len()];
-        for v in one_of_each_component(mesh, self.spline, self.topology) {
-            freedom[v as usize] = Freedom::None;
-        }
-        let of_triangle = vec![0; mesh.triangles.len()];
-        let mut sheets = SheetsOf { field: self.spline, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() };
-        let report = improve_sheets(mesh, &mut sheets, self.size, &how, &|| Ok(monitor.check()?))?;
-        Ok((report, sheets.numbers))
+        let held = one_of_each_component(mesh, self.spline, self.topology);
+        improve(mesh, &held, self.spline, self.size, &how, &|| Ok(monitor.check()?))
     }
 
     /// Checks a mesh and compares its topology with that of F.

@@ -88,8 +88,8 @@ impl Interfaces {
         all
     }
 
-    /// Returns the edges of triangles of different interfaces, ascending, each with the materials of
-    /// its triangles (the first four if there are more).
+    /// Returns the edges between different interfaces, ascending, each with the materials of its
+    /// triangles (the first four if there are more).
     pub fn edges_of_curves(&self) -> Vec<(Segment, Stratum)> {
         let curve = |own: &[(Segment, u32)]| {
             let mut ids: Vec<MaterialId> = own.iter().flat_map(|(_, t)| self.between[*t as usize]).collect();

@@ -239,7 +239,7 @@ mod tests {
             assert!(quality.radius_ratio_min > 0.5 && quality.radius_ratio_mean > 0.9, "{size}: {quality:?}");
             let edge = mean_edge(&after);
             assert!((edge / size - 1.0).abs() < 0.15, "{size}: {edge}");
-            // the cone of h ends 2.5 mm outside the ball, and the rim three edges of up to 1.6 h farther
+            // the cone of h ends 2.5 mm outside the ball, the rim three edges of up to 1.6 h later
             let has_bits = |q: &DVec3| before.mesh.vertices.contains(q);
             let changed = after.mesh.vertices.iter().filter(|q| !has_bits(q));
             let farthest = changed.map(|q| q.distance(PLACE)).fold(0.0, f64::max);

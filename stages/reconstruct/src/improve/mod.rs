@@ -69,8 +69,8 @@ pub struct ImproveOptions<'a> {
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
     /// For each vertex, whether it may change. If given, the lengths of the edges between these
-    /// vertices are first adjusted to h by splits and collapses, and all triangles at other vertices
-    /// keep their corners.
+    /// vertices are first adjusted to h by splits and collapses, and all triangles at other
+    /// vertices keep their corners.
     pub within: Option<&'a [bool]>,
 }
 
@@ -123,8 +123,9 @@ pub struct ImproveReport {
 /// Callback of long loops, which call it regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Improves a mesh in the grid frame, whose vertices lie on F = 0. `size` is the target edge length
-/// h (mm) at a position.
+/// Improves a mesh in the grid frame, whose vertices lie on F = 0. The vertices in `held` are fixed.
+/// `size` is the target edge length h (mm) at a position. Also returns the index of each vertex in
+/// the improved mesh, `u32::MAX` if it was removed.
 ///
 /// # Errors
 /// If a coordinate of the mesh is not finite, a triangle contains an invalid vertex index, or
@@ -132,35 +133,17 @@ pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 /// unchanged.
 pub fn improve(
     mesh: &mut TriangleMesh,
-    field: &CubicSpline,
-    size: &(dyn Fn(DVec3) -> f64 + Sync),
-    options: &ImproveOptions,
-    step: Step,
-) -> Result<ImproveReport> {
-    improve_holding(mesh, &[], field, size, options, step)
-}
-
-/// Improves a mesh like [`improve`], with the vertices in `held` fixed.
-///
-/// # Errors
-/// Those of [`improve`].
-pub fn improve_holding(
-    mesh: &mut TriangleMesh,
     held: &[u32],
     field: &CubicSpline,
     size: &(dyn Fn(DVec3) -> f64 + Sync),
     options: &ImproveOptions,
     step: Step,
-) -> Result<ImproveReport> {
+) -> Result<(ImproveReport, Vec<u32>)> {
     let (of_triangle, mut freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
     held.iter().for_each(|&v| freedom[v as usize] = Freedom::None);
-    improve_sheets(
-        mesh,
-        &mut SheetsOf { field, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() },
-        size,
-        options,
-        step,
-    )
+    let mut sheets = SheetsOf { field, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() };
+    let report = improve_sheets(mesh, &mut sheets, size, options, step)?;
+    Ok((report, sheets.numbers))
 }
 
 /// The interfaces of a mesh.

@@ -76,7 +76,7 @@ pub(super) fn remeshed(
     }
     mesh = surface.into_mesh();
     let options = ImproveOptions { relaxation_sweeps: 4, sides, ..WORST_ONLY };
-    let report = improve(&mut mesh, field, h, &options, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve(&mut mesh, &[], field, h, &options, &|| Ok(())).expect("a sound mesh");
     (mesh, report)
 }
 
@@ -158,7 +158,7 @@ fn improving_the_worst_triangles_keeps_the_others() {
     );
     let untouched: Vec<DVec3> = mesh.vertices.clone();
     let h = 0.3;
-    let report = improve(&mut mesh, &field, &|_| h, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve(&mut mesh, &[], &field, &|_| h, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "dragged vertices");
     assert!(after.quality.radius_ratio_min >= 0.6, "{:?}", after.quality);
     assert_eq!(report.below_target, 0);
@@ -182,7 +182,7 @@ fn polishing_raises_quality_and_keeps_the_counts() {
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
     // without removal of vertices
     let options = ImproveOptions { thins: false, ..ImproveOptions::default() };
-    improve(&mut mesh, &field, &|_| 0.6, &options, &|| Ok(())).expect("a sound mesh");
+    improve(&mut mesh, &[], &field, &|_| 0.6, &options, &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "shaken sphere");
     // measured: mean 0.871 to 0.996, minimum 0.296 to 0.943
     assert!(before.quality.radius_ratio_mean < 0.9, "{:?}", before.quality);
@@ -414,7 +414,7 @@ fn an_error_of_step_leaves_the_mesh_unchanged() {
     let stopped_after = |most: usize| {
         let (calls, mut mesh) = (AtomicUsize::new(0), before.clone());
         let step = || if calls.fetch_add(1, Relaxed) < most { Ok(()) } else { Err(Error::input("stopped", "", "")) };
-        let ended = improve(&mut mesh, &scene.field, &|_| 2.4, &ImproveOptions::default(), &step);
+        let ended = improve(&mut mesh, &[], &scene.field, &|_| 2.4, &ImproveOptions::default(), &step);
         (ended.is_err(), mesh == before, calls.into_inner())
     };
     let (stopped, unchanged, calls) = stopped_after(usize::MAX);
@@ -434,7 +434,7 @@ fn a_good_mesh_is_not_changed() {
         *p = field.project(*p + centre, 1.0, 1e-7).unwrap_or(*p);
     }
     let before = mesh.clone();
-    let report = improve(&mut mesh, &field, &|_| 0.6, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve(&mut mesh, &[], &field, &|_| 0.6, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
     assert_eq!(mesh, before);
     assert_eq!(report.moves, Tally::default());
 }
@@ -543,18 +543,19 @@ fn non_manifold_parts_stay_and_invalid_input_fails() {
     mesh.triangles.push(mesh.triangles[0]);
     mesh.triangles[40].swap(0, 1);
     let kept = gone.map(|v| mesh.vertices[v as usize]);
-    let report = improve(&mut mesh, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).expect("well formed");
+    let (report, _) =
+        improve(&mut mesh, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).expect("well formed");
     assert!(report.frozen_vertices >= 9);
     assert!(kept.iter().all(|p| mesh.vertices.contains(p)));
 
-    assert!(improve(&mut mesh.clone(), &field, &|_| 0.0, &ImproveOptions::default(), &|| Ok(())).is_err());
-    assert!(improve(&mut mesh.clone(), &field, &|_| f64::NAN, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve(&mut mesh.clone(), &[], &field, &|_| 0.0, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve(&mut mesh.clone(), &[], &field, &|_| f64::NAN, &ImproveOptions::default(), &|| Ok(())).is_err());
     let mut broken = mesh.clone();
     broken.triangles[0][1] = u32::MAX;
-    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     broken = mesh;
     broken.vertices[0].x = f64::NAN;
-    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     let mut empty = TriangleMesh::default();
-    assert!(improve(&mut empty, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_ok());
+    assert!(improve(&mut empty, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_ok());
 }

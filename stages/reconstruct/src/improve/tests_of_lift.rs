@@ -22,7 +22,7 @@ fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
     let field = CubicSpline::new(&image);
     let (mut mesh, _) = remeshed(&image, &field, &|_| 1.8, None);
     let options = ImproveOptions { sides: Some(&image), ..ImproveOptions::default() };
-    let report = improve(&mut mesh, &field, &|_| 1.8, &options, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve(&mut mesh, &[], &field, &|_| 1.8, &options, &|| Ok(())).expect("a sound mesh");
     let [before, after] = report.nodes_on_wrong_side.expect("nodes are guarded");
     assert!(before > 0, "there was nothing to do");
     assert_eq!(after, 0, "{before} before, {:?}", report.moves);

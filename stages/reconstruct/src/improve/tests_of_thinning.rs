@@ -42,8 +42,8 @@ fn thinning_keeps_the_topology_of_walls_thinner_than_h() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let mut mesh = mesh.clone();
         let options = ImproveOptions { thins, ..ImproveOptions::default() };
-        let report = pool.install(|| improve(&mut mesh, &scene.field, &|_| h, &options, &|| Ok(())));
-        let collapses = report.expect("a sound mesh").moves.collapses;
+        let report = pool.install(|| improve(&mut mesh, &[], &scene.field, &|_| h, &options, &|| Ok(())));
+        let collapses = report.expect("a sound mesh").0.moves.collapses;
         (assert_sound(&mesh, &scene.field, &before, "gyroid"), mesh, collapses)
     };
     let ((dense, _, none), (thin, mesh, collapses)) = (improved(false, 2), improved(true, 1));
