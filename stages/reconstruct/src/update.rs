@@ -37,7 +37,7 @@ const FARTHEST: f64 = 1.0;
 /// What an update derives from the field alone. All updates of a field can share it.
 pub enum Reference {
     /// F and its topology.
-    Object(Arc<CubicSpline>, FieldTopology),
+    Object(Arc<CubicSpline>, Box<FieldTopology>),
     /// The material of each grid node.
     Materials(Nodes),
 }
@@ -60,7 +60,7 @@ impl Reference {
     fn of_object(field: &Image<f32>, monitor: &dyn Monitor) -> Result<Self> {
         let spline = Arc::new(CubicSpline::new(field));
         let topology = FieldTopology::watched(&spline, monitor)?;
-        Ok(Self::Object(spline, topology))
+        Ok(Self::Object(spline, Box::new(topology)))
     }
 }
 
