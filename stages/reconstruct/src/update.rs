@@ -2,7 +2,7 @@
 //!
 //! The mesh has h at each of its vertices. Where the size field differs from it, edges are split
 //! and collapsed until they fit the new h, and the improvement settles the vertices; a rim of
-//! [`RIM`] rings of vertices around these places moves along. All other vertices keep their
+//! three rings of vertices around these places moves along. All other vertices keep their
 //! positions bit for bit, and their triangles keep their corners. All edits preserve the topology,
 //! and the whole mesh is checked as after a reconstruction.
 

@@ -122,8 +122,7 @@ mod tests {
         for (node, (&old, &new)) in before.image().data.iter().zip(&after.image().data).enumerate() {
             let away = geometry.node_to_grid(node).distance(ball.centre) - ball.radius;
             let cone = 1.5 + DELTA * away.max(0.0);
-            // the outermost nodes lie up to a cell diagonal inside the ball, and the scheme is first
-            // order
+            // the outermost nodes lie up to a cell diagonal inside the ball; the scheme has order 1
             let (least, most) = (cone.min(f64::from(old)), (1.06 * cone + 0.5).min(f64::from(old)));
             assert!((least - 1e-4..=most + 1e-4).contains(&f64::from(new)), "{node}: {new}, not {least} to {most}");
             kept += usize::from(old.to_bits() == new.to_bits());

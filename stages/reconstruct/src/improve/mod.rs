@@ -123,9 +123,9 @@ pub struct ImproveReport {
 /// Callback of long loops, which call it regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Improves a mesh in the grid frame, whose vertices lie on F = 0. The vertices in `held` are fixed.
-/// `size` is the target edge length h (mm) at a position. Also returns the index of each vertex in
-/// the improved mesh, `u32::MAX` if it was removed.
+/// Improves a mesh in the grid frame, whose vertices lie on F = 0. The vertices in `held` are
+/// fixed. `size` is the target edge length h (mm) at a position. Also returns the index of each
+/// vertex in the improved mesh, `u32::MAX` if it was removed.
 ///
 /// # Errors
 /// If a coordinate of the mesh is not finite, a triangle contains an invalid vertex index, or
