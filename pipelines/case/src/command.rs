@@ -1,4 +1,4 @@
-//! Command lines of the stages: programs, options from the settings, and files.
+//! Makes the command lines of the stages: programs, options from the settings, and files.
 
 use crate::folder::{CHECKPOINT, CaseFolder, PICTURES, REPORT, belongings, report_name};
 use crate::read;
@@ -76,7 +76,7 @@ impl Command {
     }
 }
 
-/// Returns the regions of the RESIZE setting if `stage` is `reconstruct`, which applies them.
+/// Returns the regions of the RESIZE setting if `stage` is `reconstruct`. Other stages ignore them.
 pub(crate) fn resizes(stage: &str, settings: &Settings) -> Vec<String> {
     if stage == "reconstruct" { settings.words("RESIZE") } else { Vec::new() }
 }
@@ -271,7 +271,8 @@ pub(crate) fn arguments(
     (words, Some(report))
 }
 
-/// Returns the options that all stages share.
+/// Returns the options that do not change the result of a stage: `--force`, and those for messages,
+/// threads and memory.
 pub(crate) fn shared(settings: &Settings, stage: &str) -> Vec<OsString> {
     let mut words = vec!["--force".to_owned()];
     words.extend(settings.words("VERBOSITY"));

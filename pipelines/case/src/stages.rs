@@ -15,7 +15,7 @@ use isoparticles_stage::error::{Error, Result};
 pub struct Planned {
     /// The files of the stage.
     pub belongings: &'static Belongings,
-    /// The commands, which run one after the other.
+    /// The commands of the stage, which run in this order.
     pub commands: Vec<Command>,
     /// Path of the report, relative to the folder of the case; `None` for the phantom.
     pub report: Option<String>,

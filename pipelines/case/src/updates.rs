@@ -1,4 +1,4 @@
-//! Changes of the edge length in regions of a finished surface (RESIZE): after `reconstruct`,
+//! Changes the edge length in regions of a finished surface (RESIZE). After `reconstruct`,
 //! `sizefield --update` and `reconstruct --update` run for each region in turn.
 
 use crate::command::{Command, Programs, options, resized, shared};
@@ -8,9 +8,10 @@ use crate::settings::Settings;
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 
-/// Returns the commands that change the surface of `first` in several regions, one after the other.
-/// The files of each step have the names that the results of the case would have, so their
-/// histories do not depend on the number of regions.
+/// Returns `first`, the command that makes the surface, and the commands that change it in each
+/// region in turn. Intermediate files have the names of the results of the case, in folders of
+/// their own. Histories contain names without folders, so the history of a step does not depend on
+/// the number of steps that follow.
 pub(crate) fn commands(
     first: Command,
     folder: &CaseFolder,
@@ -31,7 +32,7 @@ pub(crate) fn commands(
         let sized = if is_last { resized(folder) } else { step(before + 1, size) };
         let made = if is_last { file(surface) } else { step(before + 1, surface) };
         let program = programs.bin.join("sizefield");
-        let own = [
+        let files = [
             file("distfield.vti"),
             word("--update"),
             previous,
@@ -40,10 +41,12 @@ pub(crate) fn commands(
             word("-o"),
             sized.clone(),
         ];
+        // all commands write the report of the stage; that of the last one remains
         let report = folder.path.join(report_name("reconstruct")).into_os_string();
-        let arguments = own.into_iter().chain(shared(settings, "sizefield")).chain([word("--report"), report.clone()]);
+        let arguments =
+            files.into_iter().chain(shared(settings, "sizefield")).chain([word("--report"), report.clone()]);
         commands.push(Command { program, arguments: arguments.collect() });
-        let own = [
+        let files = [
             word("--update"),
             step(before, surface),
             word("--distfield"),
@@ -55,25 +58,26 @@ pub(crate) fn commands(
         ];
         let options = options("reconstruct", settings).into_iter().map(OsString::from);
         let arguments =
-            own.into_iter().chain(options).chain(shared(settings, "reconstruct")).chain([word("--report"), report]);
+            files.into_iter().chain(options).chain(shared(settings, "reconstruct")).chain([word("--report"), report]);
         commands.push(Command { program: programs.bin.join("reconstruct"), arguments: arguments.collect() });
     }
     commands
 }
 
-/// Folders of the files of every other update, within the folder of the case. A run removes them
-/// when all updates are done.
+/// Folders of the intermediate files, within the folder of the case. The steps use them
+/// alternately, and [`run`] removes them at its end.
 const UPDATES: [&str; 2] = ["updates/0", "updates/1"];
 
+/// Replaces the words that are equal to `from`.
 fn replace(words: &mut [OsString], from: &OsString, to: &OsString) {
     words.iter_mut().filter(|word| *word == from).for_each(|word| word.clone_from(to));
 }
 
-/// Runs the commands of a stage until one does not succeed. The files of intermediate updates are
-/// removed in any case.
+/// Runs the commands of a stage in order, and stops after the first that does not exit with code 0.
+/// The intermediate files are removed in any case.
 ///
 /// # Errors
-/// If a program cannot be started, or a folder cannot be made or removed.
+/// If a program cannot be started, or if a folder cannot be made.
 pub(crate) fn run(folder: &CaseFolder, commands: &[Command]) -> Result<Ended> {
     let between = UPDATES.map(|name| folder.path.join(name));
     let has_updates = commands.len() > 1;

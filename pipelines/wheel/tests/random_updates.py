@@ -1,9 +1,9 @@
-"""Changes a mesh at random places, one after the other, and checks every state.
+"""Applies random updates to a mesh, one after the other, and checks the mesh after each.
 
     python random_updates.py VOLUME --labels 1 --vertices 20000 --count 200
 
-Prints the time of each update and its outcome. Fails if a check fails, if a vertex outside the rim
-moves, or if the same updates from the first mesh give another last mesh.
+Prints the time and the outcome of each update. Fails if a check fails, if a vertex outside the rim
+moves, or if the same updates give a different final mesh when they are repeated on the first mesh.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import isoparticles as iso
 DELTA = 0.4
 """Default slope of h around a region."""
 RIM = 4
-"""Edges around the regions with another h that may change, one more than in `update.rs`."""
+"""Width of the rim around the places with another h, in edges: one more than in `update.rs`."""
 
 
 def region(mesh: iso.Mesh, random: np.random.Generator) -> tuple[str, np.ndarray, float]:
-    """Return a random ball at a vertex, its centre, and how far from it the mesh may change."""
+    """Return a random ball at a vertex, its centre, and the distance within which the mesh may change."""
     vertices, sizes = mesh.result.vertices, mesh.result.point_arrays["h"]
     at = int(random.integers(len(vertices)))
     centre, h = vertices[at], sizes[at]
     radius, size = h * random.uniform(2, 8), h * 2 ** random.uniform(-1.3, 1.0)
     text = "ball:" + ",".join(map(str, [*centre, radius])) + f"={size}"
-    # h outside the ball is lowered as far as the cone of slope DELTA is below it
+    # outside the ball, h changes only where it exceeds `size` + DELTA * distance
     near = np.linalg.norm(vertices - centre, axis=1) < radius + 4 * sizes.max()
     highest = sizes[near].max()
     return text, centre, radius + max(0.0, highest - size) / DELTA + RIM * max(highest, size)

@@ -46,9 +46,9 @@ pub struct Args {
     /// Size field h on the grid of F, mm [default: the h stored with each particle]
     #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
-    /// Change the surface P.bin, a .vtp file that reconstruct has written, where h of --sizefield
-    /// differs from h at its vertices. Vertices more than a few edges away from there keep their
-    /// positions, bit for bit
+    /// Update a finished surface instead of connecting particles: P.bin is a .vtp file that
+    /// reconstruct has written. The surface changes where h of --sizefield differs from h at its
+    /// vertices. Vertices more than a few edges away from there keep their positions, bit for bit
     #[arg(long, requires = "sizefield", conflicts_with_all = ["method", "space", "max_rounds"], help_heading = FILES)]
     pub update: bool,
     /// Surface file to write: .vtp with all data, or .ply, .stl, .obj or .vtk

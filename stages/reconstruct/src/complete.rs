@@ -18,7 +18,7 @@ use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 
-/// What the last steps need in addition to the mesh.
+/// Inputs of the last steps, apart from the mesh.
 pub(crate) struct Completion<'a> {
     pub(crate) spline: &'a CubicSpline,
     pub(crate) topology: &'a FieldTopology,
@@ -41,9 +41,10 @@ pub(crate) struct Completed {
 }
 
 impl Completion<'_> {
-    /// Improves the triangles of a mesh in the grid frame. If `within` is given, only the vertices
-    /// in it change, and edges between them are adjusted to h. Also returns the index of each
-    /// vertex in the improved mesh (`u32::MAX` if it was removed).
+    /// Improves the triangles of a mesh in the grid frame. If `within` is given, it tells for each
+    /// vertex whether it may change, and the lengths of the edges between vertices that may change
+    /// are adjusted to h. Also returns the index of each vertex in the improved mesh (`u32::MAX` if
+    /// it was removed).
     pub(crate) fn improve(
         &self,
         mesh: &mut TriangleMesh,
@@ -63,7 +64,8 @@ impl Completion<'_> {
         improve(mesh, &held, self.spline, self.size, &how, &|| Ok(monitor.check()?))
     }
 
-    /// Checks a mesh and compares its topology with that of F.
+    /// Checks a mesh and compares its topology with that of F. `refined` is the report of the
+    /// refinement, if there was one.
     pub(crate) fn check(
         &self,
         mesh: TriangleMesh,
@@ -96,7 +98,7 @@ impl Completion<'_> {
     }
 }
 
-/// F, and its samples if grid nodes are compared with the mesh.
+/// F, and the samples of F if the sides of the grid nodes are checked.
 pub(crate) struct ObjectTruth<'a> {
     pub(crate) field: &'a CubicSpline,
     pub(crate) samples: Option<&'a Image<f32>>,

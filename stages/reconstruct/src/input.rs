@@ -36,7 +36,7 @@ pub enum Inputs {
         distance: DistanceField,
         /// The new target edge length h on the grid of the field.
         sizing: Field,
-        /// What an earlier update has derived from `distance`, if there was one.
+        /// The reference that an earlier update has derived from `distance`, if there was one.
         reference: Option<Arc<Reference>>,
     },
 }
@@ -75,7 +75,7 @@ impl Inputs {
     }
 }
 
-/// What the work starts from.
+/// The particles to connect, or the surface to update.
 #[expect(clippy::large_enum_variant, reason = "a run has only one value")]
 enum Start {
     Particles(ParticleFile),

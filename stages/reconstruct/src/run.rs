@@ -101,7 +101,8 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
     }
 }
 
-/// Computes the surface from a previous one, in the world frame of the latter.
+/// Updates a finished surface. `distance`, `reference` and `sizing` are in the world frame of the
+/// surface.
 fn compute_update(
     args: &Args,
     previous: &SurfaceFile,

@@ -1,10 +1,10 @@
 //! Updates a finished mesh of one object where h has changed (`--update`).
 //!
-//! The mesh has h at each of its vertices. Where the size field differs from it, edges are split
-//! and collapsed until they fit the new h, and the improvement settles the vertices; a rim of
-//! three rings of vertices around these places moves along. All other vertices keep their
-//! positions bit for bit, and their triangles keep their corners. All edits preserve the topology,
-//! and the whole mesh is checked as after a reconstruction.
+//! The mesh stores h at each of its vertices. Vertices at which the size field differs from the
+//! stored h may change, and so may three rings of vertices around them. Edges between these
+//! vertices are split and collapsed until their lengths fit the new h, and the triangles are
+//! improved. All other vertices keep their positions bit for bit, and their triangles keep their
+//! corners. All edits preserve the topology. The whole mesh is checked as after a reconstruction.
 
 use crate::complete::{Completed, Completion};
 use crate::materials::nodes::Nodes;
@@ -23,18 +23,18 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Number of rings of vertices that move along, around the vertices at which h has changed.
+/// Number of rings of vertices that may also change, around the vertices at which h has changed.
 const RIM: usize = 3;
 
-/// Maximum relative difference of h that counts as none. h is the same sum of f32 values, at a
-/// position that rounding has changed by 1e-15.
+/// Relative differences of h up to this value are due to rounding. Without a change, the same f32
+/// samples are interpolated, at a position that rounding has changed by a relative 1e-15.
 const SAME_SIZE: f64 = 1e-6;
 
-/// A surface is rejected if more than half of its vertices are farther than this from F = 0, in
-/// voxels. It then belongs to another field.
+/// Distance from F = 0, in voxels. If more than half of the vertices are farther away, the surface
+/// belongs to another field and is rejected.
 const FARTHEST: f64 = 1.0;
 
-/// What an update derives from the field alone. All updates of a field can share it.
+/// Data that depend only on the field, so that all updates of a field can share them.
 pub enum Reference {
     /// F and its topology.
     Object(Arc<CubicSpline>, Box<FieldTopology>),
@@ -64,11 +64,11 @@ impl Reference {
     }
 }
 
-/// Returns the mesh of `previous` (world coordinates, with h at its vertices) after a change of h
-/// to `sizing`. `field` contains the samples of F.
+/// Changes the mesh of `previous` (world coordinates, with h at its vertices) where `sizing`
+/// differs from this h. `field` contains the samples of F.
 ///
 /// # Errors
-/// If the surface has no h, or belongs to another field; and if the run is interrupted. A mesh that
+/// If the surface has no h or belongs to another field, or if the run is interrupted. A mesh that
 /// fails a check is not an error.
 pub fn update(
     previous: &Surface,
@@ -93,9 +93,10 @@ pub fn update(
     Ok(Reconstruction { field, mesh, sizes, joining, kept, improved, checked, topology, failed, doubtful })
 }
 
-/// Returns the vertices that have kept their positions, with these positions in world coordinates.
-/// `before` contains the grid positions of the vertices of `previous`, and `numbers` their indices
-/// in `mesh`.
+/// Returns the indices in `mesh` of the vertices that have kept their positions, with these
+/// positions in world coordinates, bit for bit as in `previous`. `before` contains the grid
+/// positions of the vertices of `previous`, and `numbers` their indices in `mesh`, `u32::MAX` for
+/// removed vertices.
 pub(crate) fn kept(
     previous: &TriangleMesh,
     before: &[DVec3],
@@ -128,7 +129,7 @@ pub(crate) fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
     })
 }
 
-/// Returns an error if the mesh does not lie on F = 0.
+/// Returns an error if the mesh is empty or not well-formed, or does not lie on F = 0.
 fn check_belongs(mesh: &TriangleMesh, spline: &CubicSpline) -> Result<()> {
     let far = FARTHEST * spline.voxel();
     let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > far;
@@ -143,7 +144,8 @@ fn check_belongs(mesh: &TriangleMesh, spline: &CubicSpline) -> Result<()> {
     ))
 }
 
-/// Returns whether each vertex may change: h has changed there, or at most [`RIM`] edges away.
+/// Returns whether each vertex may change: `size` differs from `before`, the previous h, there or
+/// at a vertex at most [`RIM`] edges away.
 pub(crate) fn changing(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
     let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
     let mut changes: Vec<bool> = mesh.vertices.par_iter().zip(before).map(differs).collect();
@@ -200,7 +202,8 @@ mod tests {
         SizingField::new(Image::sampled(scene.image.geometry.clone(), |p| h(p) as f32))
     }
 
-    /// Returns h of `size` within 4 mm of [`PLACE`], with slope 0.4 around.
+    /// Returns a field that is `size` within 4 mm of [`PLACE`] and changes towards [`H`] with slope
+    /// 0.4: outside this ball for a smaller size, inside for a larger one.
     fn near(size: f64) -> impl Fn(DVec3) -> f64 {
         move |p| {
             let away = 0.4 * (p.distance(PLACE) - 4.0);
@@ -239,9 +242,9 @@ mod tests {
             assert!(quality.radius_ratio_min > 0.5 && quality.radius_ratio_mean > 0.9, "{size}: {quality:?}");
             let edge = mean_edge(&after);
             assert!((edge / size - 1.0).abs() < 0.15, "{size}: {edge}");
-            // the cone of h ends 2.5 mm outside the ball, the rim three edges of up to 1.6 h later
-            let has_bits = |q: &DVec3| before.mesh.vertices.contains(q);
-            let changed = after.mesh.vertices.iter().filter(|q| !has_bits(q));
+            // h changes up to 2.5 mm outside the ball; the rim adds three edges of up to 1.6 h each
+            let is_kept = |q: &DVec3| before.mesh.vertices.contains(q);
+            let changed = after.mesh.vertices.iter().filter(|q| !is_kept(q));
             let farthest = changed.map(|q| q.distance(PLACE)).fold(0.0, f64::max);
             assert!(farthest < 4.0 + 2.5 + 5.0 * H, "{size}: {farthest}");
         }
@@ -263,7 +266,7 @@ mod tests {
         let (_, fine) = updated(&scene, &before, near(0.6));
         let (_, after) = updated(&scene, &fine, |_| H);
         let [first, between, last] = [&before, &fine, &after].map(|surface| surface.mesh.vertices.len());
-        // the random points of the first mesh are sparser than h allows
+        // the first mesh, from random points, has fewer vertices than h requests
         assert!(between > first + 100 && last < between - 100, "{first}, {between}, {last}");
         assert!((mean_edge(&after) / H - 1.0).abs() < 0.2, "{}", mean_edge(&after));
     }

@@ -113,13 +113,13 @@ pub struct Args {
     /// regions, h grows by at most delta per mm. The limit may be below --min-size
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
     pub(crate) refine: Vec<Region>,
-    /// Afterwards, set h to H in a region, with the forms of --refine; may be repeated, and takes
-    /// effect in the given order. H may also be larger than h. Near the border of the region, h
-    /// stays within delta of h outside
+    /// Set h to H in a region, after all other options have determined h. The forms are those of
+    /// --refine; may be repeated, and the regions take effect in the given order. H may be larger
+    /// than h was. Near the border of the region, h differs from h outside by at most delta per mm
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
     pub(crate) resize: Vec<Region>,
-    /// Start from this size field instead of computing one, and apply only --resize. h keeps its
-    /// value, bit for bit, except in the regions and a rim around them
+    /// Apply --resize to this size field instead of computing one. h keeps its value, bit for bit,
+    /// except in the regions and in a rim around them where h must be lowered
     #[arg(long, value_name = "S.vti", requires = "resize", help_heading = FILES,
         conflicts_with_all = ["quality", "epsilon", "min_size", "max_size", "max_deviation", "scale", "size", "uniform", "vertices", "refine"])]
     pub(crate) update: Option<PathBuf>,

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A region with its h, as given by the user.
+/// A region with its h, as given by the user. For `--refine`, the sizes are upper bounds of h; for
+/// `--resize`, they replace h.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Region {
@@ -212,7 +213,7 @@ pub(crate) fn sized_nodes(region: &Region, geometry: &Geometry, context: &Contex
     Ok(nodes)
 }
 
-/// Returns the nodes of several regions together.
+/// Returns the nodes of all `--refine` regions, and adds their files to the inputs.
 pub(crate) fn refined_nodes(regions: &[Region], geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
     let nodes = regions.iter().map(|region| sized_nodes(region, geometry, context));
     Ok(nodes.collect::<Result<Vec<_>>>()?.concat())

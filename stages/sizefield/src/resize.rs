@@ -1,8 +1,9 @@
 //! Sets h in regions of a finished sizing field (`--resize`), and keeps it everywhere else.
 //!
-//! In a region, h becomes the requested size, or less near its border where the surroundings are
-//! finer. Outside, h is lowered to a cone of slope delta around the region. It changes only where
-//! this cone is below it, so a larger h in a region leaves the surroundings unchanged.
+//! In a region, h becomes the requested size. Near the border it stays smaller if h outside is
+//! smaller, because h increases by at most delta per mm from there. Outside, h is lowered to the
+//! size in the region plus delta times the distance from it, where it is above this value. h
+//! outside never increases, so a larger h in a region leaves the surroundings unchanged.
 
 use crate::args::Args;
 use crate::gradation::{NodeSet, limit_gradient};
@@ -12,7 +13,7 @@ use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::{Geometry, Image};
 
-/// Applies the options `--resize` in turn.
+/// Applies the `--resize` options to a sizing field, in the given order.
 pub(crate) fn resized_by(args: &Args, delta: f64, mut sizing: SizingField, context: &Context) -> Result<SizingField> {
     for region in &args.resize {
         let nodes = sized_nodes(region, &sizing.image().geometry, context)?;
@@ -24,50 +25,50 @@ pub(crate) fn resized_by(args: &Args, delta: f64, mut sizing: SizingField, conte
 }
 
 /// Returns the field with the given sizes at some nodes, and with |grad h| <= `delta` between these
-/// nodes and the others. Of several sizes at a node, the smallest counts.
+/// nodes and the others. If a node has several sizes, the minimum applies.
 pub fn resized(sizing: &SizingField, nodes: &[SizedNode], delta: f64) -> SizingField {
     let mut whole = sizing.image().clone();
     let part = Part::around(&whole, nodes, delta);
     let filled = || Image::filled(part.geometry.clone(), f32::INFINITY);
-    let (mut own, mut is_own) = (filled(), NodeSet::new(part.nodes.len()));
+    let (mut inside, mut is_inside) = (filled(), NodeSet::new(part.nodes.len()));
     for &(node, size) in nodes {
         let number = part.number(whole.geometry.size, node);
-        own.data[number] = own.data[number].min(size as f32);
-        is_own.insert(number);
+        inside.data[number] = inside.data[number].min(size as f32);
+        is_inside.insert(number);
     }
     let mut from_outside = filled();
-    for (number, &node) in part.nodes.iter().enumerate().filter(|(number, _)| !is_own.contains(*number)) {
+    for (number, &node) in part.nodes.iter().enumerate().filter(|(number, _)| !is_inside.contains(*number)) {
         from_outside.data[number] = whole.data[node];
     }
-    limit_gradient(&mut from_outside, delta, Some(&is_own));
-    for number in (0..part.nodes.len()).filter(|&number| is_own.contains(number)) {
-        own.data[number] = own.data[number].min(from_outside.data[number]);
+    limit_gradient(&mut from_outside, delta, Some(&is_inside));
+    for number in (0..part.nodes.len()).filter(|&number| is_inside.contains(number)) {
+        inside.data[number] = inside.data[number].min(from_outside.data[number]);
     }
-    let mut cone = own.clone();
+    let mut cone = inside.clone();
     limit_gradient(&mut cone, delta, None);
     for (number, &node) in part.nodes.iter().enumerate() {
         whole.data[node] =
-            if is_own.contains(number) { own.data[number] } else { whole.data[node].min(cone.data[number]) };
+            if is_inside.contains(number) { inside.data[number] } else { whole.data[node].min(cone.data[number]) };
     }
     SizingField::new(whole)
 }
 
-/// A box of nodes of a grid.
+/// A box of nodes of a larger grid.
 struct Part {
     geometry: Geometry,
-    /// Indices of its first node in the whole grid.
+    /// Coordinates of the first node of the box in the whole grid, in nodes.
     first: [usize; 3],
-    /// Number of each of its nodes in the whole grid.
+    /// Index in the whole grid of each node of the box.
     nodes: Vec<usize>,
 }
 
 impl Part {
-    /// Returns the box that contains some nodes and everything that their cone can lower.
+    /// Returns the box of the given nodes and of all nodes at which h may decrease.
     fn around(whole: &Image<f32>, sized: &[SizedNode], delta: f64) -> Self {
         let geometry = &whole.geometry;
         let highest = whole.data.iter().copied().fold(0.0, f32::max);
         let lowest = sized.iter().map(|(_, size)| *size).fold(f64::INFINITY, f64::min);
-        // two more nodes take part in the differences at the border of the box
+        // two more layers of nodes, which the finite differences at the border of the box use
         let reach = (((f64::from(highest) - lowest) / delta).max(0.0) / geometry.spacing).ceil() + 2.0;
         let (mut first, mut last) = (geometry.size, [0; 3]);
         for &(node, _) in sized {
@@ -84,7 +85,8 @@ impl Part {
         Self { geometry: Geometry::axis_aligned(size, geometry.spacing), first, nodes }
     }
 
-    /// Returns the number in the box of a node of a grid of the given size.
+    /// Converts the index of a node in the whole grid, which has `size` nodes per axis, to its
+    /// index in the box, which must contain the node.
     fn number(&self, size: [usize; 3], node: usize) -> usize {
         let at = coordinates(size, node);
         let [i, j, k] = std::array::from_fn(|a| at[a] - self.first[a]);
@@ -92,6 +94,7 @@ impl Part {
     }
 }
 
+/// Returns the coordinates, in nodes, of a node of a grid with `size` nodes per axis.
 fn coordinates(size: [usize; 3], node: usize) -> [usize; 3] {
     [node % size[0], node / size[0] % size[1], node / size[0] / size[1]]
 }
@@ -104,7 +107,8 @@ mod tests {
 
     const DELTA: f64 = 0.4;
 
-    /// Returns h that grows along x from 1 mm with slope 0.2, and a ball of radius 5 mm in it.
+    /// Returns h that grows along x from 1 mm with slope 0.2, the nodes in a ball of radius 5 mm
+    /// with the given size, and the ball.
     fn slope_and_ball(size: f64) -> (SizingField, Vec<SizedNode>, Ball) {
         let geometry = Geometry::axis_aligned([60, 30, 30], DVec3::new(1.0, 0.8, 1.2));
         let h = Image::sampled(geometry.clone(), |p: DVec3| (1.0 + 0.2 * p.x) as f32);
@@ -122,7 +126,8 @@ mod tests {
         for (node, (&old, &new)) in before.image().data.iter().zip(&after.image().data).enumerate() {
             let away = geometry.node_to_grid(node).distance(ball.centre) - ball.radius;
             let cone = 1.5 + DELTA * away.max(0.0);
-            // the outermost nodes lie up to a cell diagonal inside the ball; the scheme has order 1
+            // the outermost nodes lie up to a cell diagonal inside the ball, and the scheme is of
+            // first order
             let (least, most) = (cone.min(f64::from(old)), (1.06 * cone + 0.5).min(f64::from(old)));
             assert!((least - 1e-4..=most + 1e-4).contains(&f64::from(new)), "{node}: {new}, not {least} to {most}");
             kept += usize::from(old.to_bits() == new.to_bits());
@@ -134,12 +139,12 @@ mod tests {
     fn a_larger_size_changes_only_the_region() {
         let (before, nodes, ball) = slope_and_ball(30.0);
         let after = resized(&before, &nodes, DELTA);
-        let is_inside: Vec<usize> = nodes.iter().map(|(node, _)| *node).collect();
+        let inside: Vec<usize> = nodes.iter().map(|(node, _)| *node).collect();
         let at_centre = after.at(ball.centre);
         // 5 mm from the border of the ball, where h is 4 to 6 mm
         assert!((5.5..7.5).contains(&at_centre), "{at_centre}");
         for (node, (&old, &new)) in before.image().data.iter().zip(&after.image().data).enumerate() {
-            match is_inside.binary_search(&node) {
+            match inside.binary_search(&node) {
                 Ok(_) => assert!(new >= old - 1e-4, "{node}: {new} below {old}"),
                 Err(_) => assert_eq!(old.to_bits(), new.to_bits(), "{node}"),
             }
@@ -148,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_part_does_not_affect_the_values() {
-        // a high value far away makes the part the whole grid
+        // with a high value far away, the part is the whole grid
         let (before, nodes, _) = slope_and_ball(1.5);
         let mut high = before.image().clone();
         let last = high.data.len() - 1;

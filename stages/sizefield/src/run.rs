@@ -73,8 +73,8 @@ pub fn compute(args: &Args, distance: &DistanceField, context: &Context) -> Resu
     Ok(Field { image, meta, history, kind: FieldKind::Sizing })
 }
 
-/// Returns a sizing field after the changes of `--resize`. Without `--delta`, the delta of the
-/// previous field applies.
+/// Applies `--resize` to a previous sizing field. Without `--delta`, the delta of the previous
+/// field applies.
 ///
 /// # Errors
 /// If a file of `--resize` cannot be read, or if a region lies outside the grid.
@@ -84,7 +84,7 @@ pub fn update(args: &Args, previous: &Field, context: &Context) -> Result<Field>
     context.set_parameter("delta", delta);
     let sizing = resized_by(args, delta, SizingField::new(Arc::clone(&previous.image)), context)?;
     let before: SizeMeta = meta::typed(args.update.as_deref().unwrap_or(&args.input), &previous.meta, "sizefield")?;
-    // the measurements of the surface remain valid; those of h do not
+    // notes about the shape of the object remain valid; notes about h do not
     let notes = before.notes.into_iter().filter(|(name, _)| name != "size_at_surface" && name != "too_small").collect();
     let meta = SizeMeta { version: meta::VERSION, components: before.components, predicted_count: None, notes };
     let (image, meta, history) = (sizing.into_image(), json!(meta), Some(context.history()));

@@ -1,4 +1,4 @@
-//! RESIZE: changes of the edge length in regions of the finished surface.
+//! Tests of RESIZE, which changes the edge length in regions of the finished surface.
 
 use super::support::stage;
 use super::{Case, PARAMETERS};
@@ -6,8 +6,8 @@ use crate::arguments;
 use isoparticles_mesh::surface::read_surface;
 use std::path::Path;
 
-/// A ball near the surface of the phantom, whose centre is at 11.5 mm, and a larger h on the other
-/// side.
+/// Two balls at opposite ends of the phantom, whose centre is at 11.5 mm in x, y and z: one with a
+/// smaller and one with a larger h.
 const REGIONS: [&str; 2] = ["ball:19.5,11.5,11.5,2=0.8", "ball:3.5,11.5,11.5,2=2"];
 
 /// Parameters of a surface with enough vertices.
@@ -22,9 +22,11 @@ fn regions_are_resized_in_turn_as_by_the_programs() {
     for (n, region) in REGIONS.iter().enumerate() {
         // histories contain the names of files, but not their folders
         let at = |n: usize, ending: &str| folder.path().join(n.to_string()).join(format!("ball.{ending}"));
-        for (n, ending) in [(0, "sizefield.vti"), (0, "surface.vtp")].into_iter().filter(|_| n == 0) {
+        if n == 0 {
             std::fs::create_dir_all(folder.path().join("0")).expect("folder");
-            std::fs::copy(case.file(ending), at(n, ending)).expect("copy");
+            for ending in ["sizefield.vti", "surface.vtp"] {
+                std::fs::copy(case.file(ending), at(0, ending)).expect("copy");
+            }
         }
         std::fs::create_dir_all(folder.path().join((n + 1).to_string())).expect("folder");
         let field = case.file("distfield.vti");
@@ -49,7 +51,7 @@ fn regions_are_resized_in_turn_as_by_the_programs() {
     let kept = before.vertices.iter().filter(is_kept).count();
     assert!(kept > before.vertices.len() / 5 && kept < before.vertices.len(), "{kept} of {}", before.vertices.len());
     assert_eq!(case.reran(&FINE), ["reconstruct"]);
-    assert!(!sized.exists(), "the size field of the updates is out of date");
+    assert!(!sized.exists(), "a run without RESIZE removes the size field of the updates");
 }
 
 #[test]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 UPDATES = "updates"
-"""The folder of the size field after the updates of a mesh, in the folder of the mesh."""
+"""Subfolder, in the folder of a mesh, for its size field after updates."""
 
 
 class Mesh:
@@ -31,7 +31,7 @@ class Mesh:
     field: DistanceField
     """The signed distance, or the indicators of the materials."""
     size: SizeField
-    """The target edge length h."""
+    """The target edge length h, after all updates."""
     seeds: Particles
     """The initial particles."""
     particles: Particles
@@ -57,6 +57,7 @@ class Mesh:
         self.particles = particles
         self.result = result
         self._filling = filling
+        # the size field before the updates; None without updates
         self._first_size = first_size
 
     @classmethod
@@ -125,7 +126,7 @@ class Mesh:
         return [check for result in self.stages.values() for check in result.failed_checks]
 
     def update(self, *resize: str, progress: Progress = None) -> Mesh:
-        """Return a mesh with another edge length in some regions; this one stays as it is.
+        """Return a mesh with another edge length in some regions; this mesh does not change.
 
         Only the surface in the regions and in a rim around them changes. The positions of all other
         vertices stay the same, bit for bit.
@@ -163,7 +164,8 @@ class Mesh:
     def save(self, folder: str | PathLike[str], name: str | None = None, *, overwrite: bool = False) -> None:
         """Write ``NAME.distfield.vti`` and the files of the other stages to a folder.
 
-        The size field of an updated mesh is written to the folder ``updates`` in it.
+        The size field of an updated mesh is written to the subfolder ``updates``, and that before
+        the updates to ``NAME.sizefield.vti``.
 
         Raises
         ------

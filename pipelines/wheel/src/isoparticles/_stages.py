@@ -108,14 +108,14 @@ def size_field(
     progress: Progress = None,
     **options: Unpack[SizefieldOptions],
 ) -> SizeField:
-    """Compute the target edge length h of the mesh.
+    """Compute the target edge length h of the mesh, or change it in some regions.
 
     Parameters
     ----------
     field
         The distance field.
     update
-        A size field to change by ``resize``, instead of a new one.
+        A size field. If given, the result is this field with the changes of ``resize``.
     name, progress
         As for :func:`distance_field`.
     **options
@@ -147,7 +147,7 @@ def run_sizefield(
 
 
 def previous(result: SizeField | Surface) -> str:
-    """Return the word for a result whose name may also be that of the new result."""
+    """Return a path for an input of an update, which may have the same name as the new result."""
     return f"previous/{result.name}"
 
 
@@ -223,19 +223,19 @@ def reconstruct(
     progress: Progress = None,
     **options: Unpack[ReconstructOptions],
 ) -> Surface:
-    """Connect particles to a surface, improve its triangles, and check it.
+    """Connect particles to a surface, or change a surface; improve its triangles, and check it.
 
     A surface that fails a check is a result: see ``failed_checks``.
 
     Parameters
     ----------
     particles
-        Settled particles; or a surface of ``field``, which changes where ``size`` differs from h at
-        its vertices.
+        Settled particles; or a surface made from ``field``. The surface is then changed where
+        ``size`` differs from h at its vertices.
     field
         The distance field. It may be None with ``method="tight-cocone"``.
     size
-        The size field. Default: the h of each particle.
+        The size field; required for a surface. Default: the h of each particle.
     name, progress
         As for :func:`distance_field`.
     **options
@@ -306,7 +306,7 @@ def _run(
     words: list[str],
     progress: Progress,
 ) -> R:
-    """Run a stage on the words of its program."""
+    """Run a stage with the arguments of its program; ``inputs`` are the data of ``files``."""
     if not isinstance(name, str) or not name or name.startswith("-") or set(name) & set("/\\\0"):
         raise ValueError(f"name={name!r}: must be a file name without a folder")
     if name in files:

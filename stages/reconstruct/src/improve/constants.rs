@@ -126,8 +126,8 @@ pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 /// half: 1 - 4/5 = 6/5 - 1.
 pub(super) const LONG: f64 = 4.0 / 3.0;
 pub(super) const SHORT: f64 = 4.0 / 5.0;
-/// Splits and collapses of a round, per triangle of the region, below which an update ends its
-/// rounds. The sweeps and the queue that follow make the few remaining changes.
+/// An update ends its rounds after a round with fewer splits and collapses than this, per triangle
+/// that may change. The sweeps and the queue that follow make the few remaining changes.
 pub(super) const FEW_CHANGES: f64 = 0.02;
 /// Minimum quality that splits, collapses and flips keep. The relaxation that follows improves the
 /// triangles; its minimum is [`TARGET`].

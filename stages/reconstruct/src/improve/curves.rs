@@ -91,8 +91,10 @@ pub(super) fn part_of_slide(surface: &Surface, vertex: u32, [from, to]: [DVec3; 
     surface.onto_curve(&curve, from.lerp(to, share), from.distance(to))
 }
 
-/// Splits the edge a, b of a junction curve at a new vertex of the curve near its midpoint. Returns
-/// the vertex, or `None` if this is not possible.
+/// Splits the edge a, b of a junction curve at a new vertex, which lies on the curve near the
+/// midpoint of the edge. Returns the vertex. Returns `None` if a triangle at the edge has a frozen
+/// corner, if the edge does not join two or three different interfaces, or if no such point of the
+/// curve is found.
 pub(super) fn split_along(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     let at_edge = |t: &&u32| surface.triangles[**t as usize].contains(&b);
     let triangles: Vec<u32> = surface.around[a as usize].iter().filter(at_edge).copied().collect();

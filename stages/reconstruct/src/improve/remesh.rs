@@ -13,9 +13,9 @@ use super::{Step, Tally};
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 
-/// Adjusts the lengths of the edges between vertices that are not frozen to h. Each round calls
-/// `step` first. A round halves long edges, so the longest edge determines the maximum number of
-/// rounds, in addition to the [`ROUNDS`] of a patch.
+/// Splits and collapses edges between vertices that are not frozen until their lengths fit h. There
+/// are at most [`ROUNDS`] rounds plus the number of times that the longest edge must be halved to
+/// reach h. Each round calls `step` first.
 ///
 /// # Errors
 /// Those of `step`.
@@ -24,7 +24,7 @@ pub(super) fn adjust(surface: &mut Surface, limits: &Limits, step: Step, tally: 
     let triangles: Vec<u32> = (0..surface.triangles.len() as u32).filter(changeable).collect();
     let longest = triangles.iter().map(|&t| surface.facts[t as usize].lengths[1]).fold(1.0, f64::max);
     let bounds = triangles.iter().fold(Bounds::EMPTY, |all, &t| all.merged(surface.bounds(t)));
-    // a new vertex lies at most half of its edge from the edge
+    // new vertices may lie outside the box of the triangles
     let margin = 0.5 * (bounds.high - bounds.low).max_element();
     let region = Bounds { low: bounds.low - margin, high: bounds.high + margin };
     let mut patch = Patch::within(surface, &region);
@@ -43,7 +43,9 @@ pub(super) fn adjust(surface: &mut Surface, limits: &Limits, step: Step, tally: 
 /// Whether edges of junction curves are split and collapsed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curves {
+    /// They are neither split nor collapsed.
     Keep,
+    /// They are split and collapsed.
     Change,
 }
 
@@ -65,7 +67,7 @@ pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
     edges_of(surface.triangles.iter().filter(|t| **t != DEAD))
 }
 
-/// Splits long edges, and returns their number.
+/// Splits edges longer than [`LONG`] h, and returns the number of splits.
 fn split_long(surface: &mut Surface, limits: &Limits, curves: Curves) -> usize {
     let mut long: Vec<(f64, u32, u32)> = edges(surface)
         .into_iter()
@@ -83,7 +85,7 @@ fn split_long(surface: &mut Surface, limits: &Limits, curves: Curves) -> usize {
     count
 }
 
-/// Collapses short edges, and returns their number.
+/// Collapses edges shorter than [`SHORT`] h, and returns the number of collapses.
 fn collapse_short(surface: &mut Surface, limits: &Limits, curves: Curves, tally: &mut Tally) -> usize {
     let before = tally.collapses;
     let mut short: Vec<(f64, u32, u32)> = edges(surface)

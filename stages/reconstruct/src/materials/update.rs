@@ -19,12 +19,12 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Returns the interfaces of `previous` (world coordinates, with h at its vertices and materials at
-/// its triangles) after a change of h to `sizing`. `table` contains the materials.
+/// Changes the interfaces of `previous` (world coordinates, with h at its vertices and materials at
+/// its triangles) where `sizing` differs from this h. `table` contains the materials.
 ///
 /// # Errors
-/// If the surface has no h or materials, or does not lie on the interfaces; and if the run is
-/// interrupted. A complex that fails a check is not an error.
+/// If the surface has no h or no materials, or if the run is interrupted. A complex that fails a
+/// check is not an error.
 pub fn update(
     previous: &Surface,
     (indicators, nodes): (&dyn Indicators, &Nodes),
@@ -55,7 +55,7 @@ pub fn update(
     let guarded = options.keeps_voxels.then_some(nodes);
     let step = || Ok(monitor.check()?);
     let (improved, numbers) = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
-    // edges of curves may have been split
+    // the edges of curves have changed if they were split or collapsed
     interfaces.segments = interfaces.edges_of_curves();
     drop(phase);
     monitor.check()?;
@@ -66,7 +66,7 @@ pub fn update(
     Ok(Reconstruction { interfaces, sizes, joining: None, kept, improved, checked, pieces, failed })
 }
 
-/// Reads the interfaces of a surface.
+/// Converts a surface to interfaces in the grid frame, with the edges of their junction curves.
 fn interfaces_of(surface: &Surface, indicators: &dyn Indicators, geometry: &Geometry) -> Result<Interfaces> {
     let array = |name: &str| {
         let found = surface.cell_data.iter().find(|array| array.name == name)?;
@@ -97,8 +97,9 @@ fn interfaces_of(surface: &Surface, indicators: &dyn Indicators, geometry: &Geom
     Ok(interfaces)
 }
 
-/// Records the vertices that are not on all of their interfaces, because strata were merged there.
-/// They keep their distances.
+/// Records as joined the vertices that are farther than the limit of the check from one of their
+/// interfaces. In the surface of a reconstruction, these are vertices at which strata were merged.
+/// The check accepts their present distances.
 fn join_the_distant(interfaces: &mut Interfaces, indicators: &dyn Indicators, options: &Options) {
     let limit = options.max_vertex_distance * indicators.voxel();
     let distance = |&(v, [i, j]): &(u32, [MaterialId; 2])| {
@@ -163,14 +164,14 @@ mod tests {
             let place = CENTRE + 0.5 * scene.extent * DVec3::Z * 0.3;
             let (before, made, after) = before_and_after(scene, place, size);
             assert_eq!(made.failed, [""; 0], "{size}");
-            assert_eq!(made.checked.junctions.junction_points, 2.max(made.checked.junctions.junction_points));
+            assert!(made.checked.junctions.junction_points >= 2);
             let quality = &made.checked.quality;
             assert!(quality.radius_ratio_mean > 0.88 && quality.radius_ratio_min > 0.4, "{size}: {quality:?}");
             let near = |surface: &Surface| surface.mesh.vertices.iter().filter(|p| p.distance(place) < 3.0).count();
             let (old, new) = (near(&before), near(&after));
             assert_eq!(size < H, new > old, "{size}: {old}, {new}");
-            let has_bits = |q: &&DVec3| !before.mesh.vertices.contains(q);
-            let changed = after.mesh.vertices.iter().filter(has_bits);
+            let is_new = |q: &&DVec3| !before.mesh.vertices.contains(q);
+            let changed = after.mesh.vertices.iter().filter(is_new);
             let farthest = changed.map(|q| q.distance(place)).fold(0.0, f64::max);
             assert!(farthest < 3.0 + 2.5 + 4.0 * H, "{size}: {farthest}");
         }

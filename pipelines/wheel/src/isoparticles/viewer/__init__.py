@@ -1,9 +1,10 @@
 """``isoparticles view CASE`` and :func:`isoparticles.view`: look at a mesh, and refine it there.
 
-The modules: ``case`` opens cases and volumes; ``session`` keeps meshes, updates and undo, and
-``journal`` writes them to disk; ``slices`` and ``scene`` make the pictures; ``places`` lists what
-deserves a look; ``paint`` marks regions; ``run`` works in the background. ``views``, ``control``,
-``choose`` and ``page`` connect all of them with the browser, and ``server`` guards the page.
+The modules: ``case`` opens cases and volumes; ``session`` keeps the meshes and their updates, and
+``journal`` writes the list of updates to disk; ``slices`` and ``scene`` draw the views; ``places``
+lists failed checks, poor triangles and other places to inspect; ``paint`` marks regions; ``run``
+runs updates and stages in the background. ``views``, ``control``, ``choose`` and ``page`` connect
+these modules with the browser, and ``server`` serves the page.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 HELP = """\
 Look at a case in the browser, and refine its mesh by pointing.
 
-CASE is the name of a case in --out, the folder of a case, or a volume. The page has the address
-that is printed, on this computer only. Over SSH, forward the port:
+CASE is the name of a case in --out, the folder of a case, or a volume. The program prints the
+address of the page. Only this computer can open it. Over SSH, forward the port:
   ssh -L 8765:127.0.0.1:8765 HOST isoparticles view CASE --port 8765
 """
 
@@ -50,16 +51,16 @@ def view(
     port: int = 0,
     height: int = 800,
 ) -> Any:
-    """Show a mesh or a case in a notebook, or print the address of its page.
+    """Show a mesh or a case in a notebook; elsewhere, serve its page and print the address.
 
     Parameters
     ----------
     mesh
-        A mesh, or a case: its name, its folder, or a volume.
+        A mesh, or a case: its name in the folder ``out``, its folder, or a volume.
     image
-        The volume behind the slices. Default: the distance field of the mesh.
+        The volume that the slices of a mesh show. Default: the distance field of the mesh.
     folder
-        The folder that "Save" writes to. Default: that of the case.
+        The folder that "Save" writes a mesh to. A case is always written to its own folder.
     port
         The port of the page on this computer; 0 chooses a free one.
     height
@@ -68,8 +69,9 @@ def view(
     Returns
     -------
     object
-        The page, as an IFrame in a notebook. Its attribute ``page.control.session.mesh`` is the
-        present mesh. Without a notebook, the function returns after Ctrl-C.
+        In a notebook, an IFrame, whose attribute ``page.control.session.mesh`` is the present mesh.
+        Elsewhere, the page itself, with the attribute ``control.session.mesh``; the function then
+        returns after Ctrl-C.
 
     Raises
     ------

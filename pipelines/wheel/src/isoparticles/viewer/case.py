@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 FLIP = np.array([-1.0, -1.0, 1.0])
 """Signs between LPS and RAS."""
 MAX_LABELS = 256
-"""An integer volume with at most so many different values counts as a label map. Atlases of the
-brain have up to about 200 labels; a CT of 8 bits that uses all values has 256."""
+"""An integer volume without names of labels counts as a label map if it has at most half as many
+different values. A CT of 8 bits that uses all values has 256."""
 
 MARGIN = 0.3
 """Margin of the slices around the mesh, relative to its longest side."""
@@ -41,7 +41,7 @@ class Shown:
     volume: Path | None = None
     mesh: Mesh | None = None
     scan: Scan | None = None
-    """The volume in the world of the mesh, with upright axes."""
+    """The volume in the world frame of the mesh, with the axes of the array along x, y and z."""
     key: list[Entry] = field(default_factory=list)
     """Names and colours of labels and materials."""
     case: Case | None = None
@@ -55,7 +55,7 @@ class Shown:
 
 
 def open_case(word: str, out: Path, name: str | None = None) -> Shown:
-    """Open a case by its name, its folder, or its volume, whose results have a name.
+    """Open a case by its name, its folder or its volume; ``name`` is that of the volume's results.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def folder_file(shown: Shown, ending: str) -> Path:
 
 
 def _volume_of(case: Case) -> Path | None:
-    """Return the volume of a case; None for a phantom or if the file is gone."""
+    """Return the volume of a case; None for a phantom, or if the file no longer exists."""
     paths = [Path(entry["path"]) for entry in case.inputs if entry["role"] == "volume"]
     return paths[0] if paths and paths[0].exists() else None
 
@@ -148,7 +148,7 @@ def _add_scan(shown: Shown) -> None:
         except Error as error:
             shown.notes.append(f"The volume cannot be shown: {error.what}. The slices show the distance field.")
     elif shown.mesh is not None:
-        shown.notes.append("The volume of the case is not there. The slices show the distance field.")
+        shown.notes.append("The volume of the case was not found. The slices show the distance field.")
     # the table of materials is in the field data of the file
     is_many = shown.mesh is not None and bool(shown.mesh.result.materials)
     surface: Any = pv.read(folder_file(shown, "surface.vtp")) if is_many else None
@@ -160,7 +160,7 @@ def _add_scan(shown: Shown) -> None:
 
 
 def _read(path: Path, is_labels: bool | None, reading: dict[str, object]) -> Scan:
-    """Read a volume. None: labels if it has few different whole numbers."""
+    """Read a volume. If ``is_labels`` is None, the data type, names and values decide."""
     scan = read_scan(path, bool(is_labels), reading)
     if is_labels is None and np.issubdtype(scan.values.dtype, np.integer):
         scan = replace(scan, labels=bool(scan.names) or len(np.unique(scan.values)) <= MAX_LABELS // 2)
@@ -168,7 +168,7 @@ def _read(path: Path, is_labels: bool | None, reading: dict[str, object]) -> Sca
 
 
 def labels_of(scan: Scan) -> list[Entry]:
-    """Return names and colours of the labels of a volume; empty for a scan."""
+    """Return the names and colours of the labels of a volume; empty for a scan."""
     if not scan.labels:
         return []
     nothing = Case("", "", "passed", "", [], {}, None, [], [])
@@ -190,7 +190,7 @@ def scan_of_field(mesh: Mesh) -> Scan:
 
 
 def _in_world(scan: Scan, mesh: Mesh) -> Scan:
-    """Return a volume in LPS in the world of the mesh."""
+    """Convert a volume from LPS to the world frame of the mesh."""
     if not scan.anatomical or mesh.field.space != "ras":
         return scan
     turned = replace(scan, step=FLIP[:, None] * scan.step, origin=FLIP * scan.origin)
@@ -198,7 +198,7 @@ def _in_world(scan: Scan, mesh: Mesh) -> Scan:
 
 
 def _near(scan: Scan, mesh: Mesh) -> Scan:
-    """Return the part of a volume around a mesh."""
+    """Return the part of a volume around a mesh, or the whole volume if they do not overlap."""
     index = scan.to_index(mesh.result.vertices)
     last = np.array(scan.values.shape) - 1
     is_apart = (index.max(axis=0) < 0).any() or (index.min(axis=0) > last).any()

@@ -1,4 +1,4 @@
-"""Choosing the object of a volume that has no mesh: a preview, a prediction, and the run."""
+"""Chooses the object of a volume that has no mesh: a preview, a predicted cost, and the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tetmesh_check.report.page.scan import Scan
 from tetmesh_check.report.page.templates import duration, memory
 
 PREVIEW = 80
-"""Maximum number of voxels of the preview along an axis: its surface takes 0.05 s."""
+"""Maximum number of voxels of the preview along an axis. Extracting its surface takes 0.05 s."""
 SETTLED = 0.3
 """Seconds without a change after which the cost is predicted."""
 
@@ -79,13 +79,13 @@ class Choice:
         return found
 
     def changed(self) -> None:
-        """Show the object again, and predict its cost a little later."""
+        """Update the preview, and predict the cost after ``SETTLED`` seconds without a change."""
         self.preview()
         self._asked += 1
         asyncio.get_running_loop().create_task(self._predict(self._asked))
 
     def preview(self) -> None:
-        """Show the surface of a coarser volume."""
+        """Show the surface of the object in a coarser volume."""
         if self._coarse is None or self.state.has_mesh:
             return
         scene, scan = self.control.scene, self._coarse
@@ -108,7 +108,7 @@ class Choice:
         self.control.refresh_view()
 
     async def _predict(self, asked: int) -> None:
-        """Run ``info`` for the latest object, unless another change follows soon."""
+        """Run ``info`` for the object, unless another change has followed in the meantime."""
         await asyncio.sleep(SETTLED)
         if asked != self._asked:
             return
@@ -119,7 +119,7 @@ class Choice:
         with self.state:
             try:
                 self._info = json.loads(done.stdout)["objects"][0]["cost"]
-                note = "" if self._info else "No voxel lies inside."
+                note = "" if self._info else "The object contains no voxel."
             except (ValueError, KeyError, IndexError):
                 self._info = None
                 note = (done.stderr.strip().splitlines() or ["The cost cannot be predicted."])[0]
@@ -157,7 +157,7 @@ class Choice:
 
 
 def coarsened(scan: Scan) -> Scan:
-    """Return every n-th voxel, so that no axis has more than ``PREVIEW``."""
+    """Return every n-th voxel along each axis, so that no axis has more than ``PREVIEW`` voxels."""
     stride = max(1, -(-max(scan.values.shape) // PREVIEW))
     values = scan.values[::stride, ::stride, ::stride]
     return Scan(values, scan.step * stride, scan.origin, scan.anatomical, scan.names, 1, scan.labels)
@@ -178,8 +178,9 @@ def outline_of(scan: Scan, values: Any, level: float) -> pv.PolyData:
 def scaled(cost: dict[str, Any], vertices: int) -> tuple[float, float]:
     """Return processor time and memory of the surface for a number of vertices.
 
-    ``info`` predicts them for the default sizes. The time of the particles and of the triangles is
-    proportional to the vertices; the memory is an upper estimate if there are fewer.
+    ``info`` predicts the cost for the default sizes. The time of the stages after the fields is
+    scaled by the number of vertices. The memory is scaled for more vertices only, and is therefore
+    an upper estimate for fewer.
     """
     share = vertices / max(cost["vertices"], 1)
     stages = {stage["stage"]: stage for stage in cost["stages"] if stage["stage"] != "tetrahedra"}

@@ -1,4 +1,4 @@
-"""What buttons, pointers and keys do: requests, updates, undo, save."""
+"""Handles buttons, pointers and keys: requests, updates, undo, save."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from isoparticles.viewer.session import Ball, Mask, Request, command_line, size_
 from isoparticles.viewer.views import Views
 
 POLL = 0.15
-"""Seconds between two looks at a job. The eye takes this for continuous."""
+"""Seconds between two updates of the progress of a job. They look continuous at this rate."""
 FINER = 0.5
-"""Default edge length of a new ball, relative to the present one."""
+"""Default h of a new ball or region, relative to the present h at its centre."""
 RADIUS = 4.0
-"""Default radius of a new ball, in present edge lengths; less would contain few triangles."""
+"""Default radius of a new ball, relative to the present h. Smaller balls contain few triangles."""
 CLICK = 4.0
-"""Maximum movement of the pointer between press and release of a click, pixels."""
+"""Maximum distance between press and release that counts as a click, in pixels."""
 KEYS = {"ArrowLeft": (0, -1), "ArrowRight": (0, 1), "ArrowUp": (1, -1), "ArrowDown": (1, 1)}
+"""Axis of the slice (0 to the right, 1 down) and direction for each arrow key."""
 
 
 class Control(Views):
@@ -131,7 +132,7 @@ class Control(Views):
     def on_release(
         self, x: float, y: float, tool: str, size: Sequence[float] | None = None, camera: Any = None
     ) -> None:
-        """Handle a click on the surface, by default with the camera of the server."""
+        """Handle a click on the surface. By default, the camera is that of the pictures of the server."""
         if size is None or camera is None:
             size, camera = self.scene.own_camera()
         pressed, self._pressed = self._pressed, None
@@ -153,12 +154,12 @@ class Control(Views):
         self.move_to(self.cursor.tolist())
 
     def _move_camera(self, camera: dict[str, Any]) -> None:
-        """Move the cameras of the browsers; the pictures already have it."""
+        """Give the browsers the camera that the server already has."""
         self.server.js_call("view", "setCamera", camera)
         self.refresh_view()
 
     def fly(self, index: int) -> None:
-        """Move the cursor and the camera to a place of the list."""
+        """Move the cursor and the camera to an entry of the list of places."""
         place = self.places[int(index)]
         if place.position is not None:
             self.state.clip = False
@@ -168,7 +169,7 @@ class Control(Views):
     # --- The list of requests -----------------------------------------------------------------
 
     def place_ball(self, position: Sequence[float], h: float | None = None) -> None:
-        """Add a ball to the list, and select it."""
+        """Add a ball to the list of requests, and select it."""
         if self.session is None:
             return
         present = size_at(self.session.mesh, position)
@@ -183,7 +184,7 @@ class Control(Views):
         self.place_ball(self.cursor.tolist())
 
     def refine(self, index: int) -> None:
-        """Place a ball at a place of the list."""
+        """Place a ball at an entry of the list of places."""
         place = self.places[int(index)]
         if place.position is not None:
             self.place_ball(place.position)
@@ -200,7 +201,7 @@ class Control(Views):
         self.refresh_view()
 
     def factor(self, value: float) -> None:
-        """Set h to a multiple of the present edge length at the selected ball."""
+        """Set h of the selected request to a multiple of the present h at its centre or at the cursor."""
         if self.session is not None and 0 <= self.state.chosen < len(self.requests):
             request = self.requests[self.state.chosen]
             centre = request.centre if isinstance(request, Ball) else self.cursor.tolist()
@@ -208,7 +209,7 @@ class Control(Views):
             self._edit_chosen()
 
     def _edit_chosen(self) -> None:
-        """Give the selected request the radius and h of the page."""
+        """Change the selected request to the radius and h in the input fields."""
         chosen = int(self.state.chosen)
         if self.session is None or not 0 <= chosen < len(self.requests) or (self.job and self.job.is_running):
             return
@@ -256,7 +257,7 @@ class Control(Views):
             raise Error("a run is in progress", "one run at a time changes the mesh", "wait for it, or stop it")
 
     def begin(self, job: Job, then: Callable[[], None]) -> None:
-        """Watch a job that has started; ``then`` is called after its success."""
+        """Watch a job. ``then`` is called if the job ends without an error and was not stopped."""
         self.job, self._then = job, then
         self.state.busy, self.state.problem = True, None
 
@@ -289,7 +290,7 @@ class Control(Views):
         self.refresh_view()
 
     def save(self) -> None:
-        """Write the mesh, and show the command that makes it."""
+        """Write the mesh, and show the command that makes it again."""
         self._expect_idle()
         session = self.session
         assert session is not None
@@ -319,7 +320,7 @@ class Control(Views):
             self.show_error(job.error)
             return
         if job.was_stopped:
-            self.state.job_text = "Stopped. Nothing has changed."
+            self.state.job_text = "Stopped. The mesh has not changed."
             return
         try:
             self._then()

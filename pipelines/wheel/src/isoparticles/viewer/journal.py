@@ -19,14 +19,14 @@ FORMAT, VERSION = "isoparticles-view", 1
 
 @dataclass
 class Journal:
-    """Updates as groups of texts, such as ``ball:1,2,3,5=0.5``; each group was applied at once."""
+    """Updates as groups of texts such as ``ball:1,2,3,5=0.5``. Each group is one update."""
 
     applied: list[list[str]] = field(default_factory=list)
-    """The groups of the mesh on the page, in order."""
+    """The groups applied to the mesh on the page, in order."""
     pending: list[str] = field(default_factory=list)
-    """Texts that are not applied yet."""
+    """Texts of the requests that are not applied yet."""
     saved: list[list[str]] = field(default_factory=list)
-    """The groups in the surface file."""
+    """The groups applied to the surface in the file, in order."""
     surface: str = ""
     """Hash of the surface file to which ``saved`` refers."""
 
@@ -42,7 +42,7 @@ class Journal:
 
     @property
     def texts(self) -> list[str]:
-        """The texts of all groups, in order."""
+        """The texts of all applied groups, in order."""
         return [text for group in self.applied for text in group]
 
 

@@ -23,14 +23,15 @@ DRAWS_IN_SOFTWARE = (
     "(gl.getExtension('WEBGL_debug_renderer_info') || {}).UNMASKED_RENDERER_WEBGL || gl.RENDERER))"
     ")(window.document.createElement('canvas').getContext('webgl2'))"
 )
-"""A browser without a graphics card shows pictures from the server. For 20,000 vertices with edges,
-Chromium's software renderer needs 0.86 s of processor time for a frame, and VTK 0.15 s (Mesa)."""
+"""JavaScript that tests whether the browser renders in software. Such a browser shows pictures from
+the server. For 20,000 vertices with edges, Chromium's software renderer needs 0.86 s of processor
+time for a frame, and VTK 0.15 s (Mesa)."""
 STILL_QUALITY, MOVING_QUALITY = 95, 60
-"""Quality of these pictures (JPEG)."""
+"""JPEG quality of these pictures, at rest and during a movement."""
 
 
 class Page:
-    """A page for one case. Its browsers share one state: each sees what the others do."""
+    """A page for one case. All browsers that show it share one state."""
 
     def __init__(self, shown: cases.Shown, port: int = 0, token: str | None = None) -> None:
         self.server: Any = get_server(f"isoparticles-{id(self)}", client_type="vue3")
@@ -64,7 +65,7 @@ class Page:
         self.control.refresh_view = refresh
 
     def _views(self) -> tuple[Any, Any]:
-        """Return the view that the browser draws, and that of pictures from the server."""
+        """Return the view that the browser draws, and the view with pictures from the server."""
         window = self.control.scene.window
         events = ("['LeftButtonPress', 'LeftButtonRelease']",)
         press = "trigger('press', [$event.position.x, $event.position.y])"

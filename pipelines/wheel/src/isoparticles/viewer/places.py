@@ -1,4 +1,4 @@
-"""Places that deserve a look: failed checks, warnings, poor triangles, lost parts, thin walls."""
+"""Lists places to inspect: failed checks, warnings, poor triangles, lost parts, thin walls."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ MOST = 12
 APART = 4.0
 """Minimum distance of two places of one kind, in edge lengths."""
 STEPS = 8
-"""Samples of F along the inward normal, up to the depth h. A wall thinner than h / 8 is missed only
-if F has no value outside between two samples."""
+"""Number of samples of F along the inward normal, up to the depth h. A thin wall is missed only if
+the space behind it is narrower than the distance h / 8 of the samples."""
 POOR = 0.5
-"""Triangles with at least this radius ratio are not listed. A right isosceles triangle has 0.83."""
+"""Triangles with at least this radius ratio are not listed, except the worst one if all have it. A
+right isosceles triangle has 0.83."""
 NUMBER = r"-?\d+(?:\.\d+)?"
 FIELDS = ("distfield", "sizefield")
 """Stages whose reports concern the volume and the fields, not the triangles."""
@@ -61,12 +62,12 @@ EVENTS = {
     "missing": "missing component",
     "undecided": "detail below a tenth of a voxel",
 }
-"""Names of places in the reports of the stages."""
+"""Names for the kinds of entries in the reports of the stages."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """One entry of the list. Without a position, it is only text."""
+    """One entry of the list. An entry without a position is only a text."""
 
     kind: str
     text: str
@@ -85,8 +86,9 @@ def places(mesh: Mesh, case: Case | None, folder: Path | None) -> list[Place]:
     case
         The status and the reports of its case.
     folder
-        The folder of the case, with the offending simplices; None if the mesh is not that of the
-        reports. Of these, the list then has only what concerns the fields.
+        The folder of the case, with the offending simplices; None if the reports describe another
+        mesh than ``mesh``. The list then contains only their entries about the volume and the
+        fields.
     """
     found: list[Place] = []
     if case is None or folder is None:
@@ -154,7 +156,7 @@ def _is_position(value: Any) -> bool:
 
 
 def _offending(path: Path, mesh: Mesh) -> list[Place]:
-    """List the simplices that fail a check, some for each reason."""
+    """List the simplices that fail a check, at most ``MOST`` for each reason."""
     if not path.is_file():
         return []
     offending = pv.read(path)
@@ -171,16 +173,16 @@ def _offending(path: Path, mesh: Mesh) -> list[Place]:
 
 
 def worst_triangles(mesh: Mesh) -> list[Place]:
-    """List the triangles of the smallest radius ratios."""
+    """List the triangles with the smallest radius ratios, at a distance from each other."""
     ratios = np.asarray(mesh.result.cell_arrays["radius_ratio"])
     order = np.argsort(ratios)[: 50 * MOST]
     order = order[ratios[order] < POOR]
     if len(order) == 0:
         order = np.argsort(ratios)[:1]
     centres = mesh.result.vertices[mesh.result.triangles[order]].mean(axis=1)
-    nearest = {tuple(centre): ratio for centre, ratio in zip(centres.tolist(), ratios[order].tolist(), strict=True)}
+    ratio_at = {tuple(centre): ratio for centre, ratio in zip(centres.tolist(), ratios[order].tolist(), strict=True)}
     return [
-        _place("worst triangle", f"radius ratio {nearest[tuple(position.tolist())]:.3f}", position, mesh)
+        _place("worst triangle", f"radius ratio {ratio_at[tuple(position.tolist())]:.3f}", position, mesh)
         for position in apart(centres, own_sizes(centres, mesh))
     ]
 
@@ -208,10 +210,12 @@ def thin_walls(mesh: Mesh) -> list[Place]:
     thin = np.flatnonzero(np.isfinite(thickness))
     thin = thin[np.argsort(thickness[thin] / np.asarray(sizes)[thin])]
     chosen = vertices[thin]
-    told = {tuple(p): (t, h) for p, t, h in zip(chosen.tolist(), thickness[thin], np.asarray(sizes)[thin], strict=True)}
+    walls = {
+        tuple(p): (t, h) for p, t, h in zip(chosen.tolist(), thickness[thin], np.asarray(sizes)[thin], strict=True)
+    }
     found = []
     for position in apart(chosen, np.asarray(sizes)[thin]):
-        thick, h = told[tuple(position.tolist())]
+        thick, h = walls[tuple(position.tolist())]
         text = f"about {thick:.3g} mm thick, h = {h:.3g} mm"
         found.append(_place("thin wall", text, position, mesh))
     return found
@@ -228,7 +232,7 @@ def own_sizes(positions: NDArray[Any], mesh: Mesh) -> NDArray[Any]:
 
 
 def apart(positions: NDArray[Any], sizes: NDArray[Any]) -> NDArray[Any]:
-    """Return the first positions that keep a distance of ``APART`` edge lengths."""
+    """Return at most ``MOST`` of the first positions, at least ``APART`` edge lengths apart."""
     chosen: list[NDArray[Any]] = []
     for position, size in zip(positions, sizes, strict=True):
         if all(np.linalg.norm(position - other) >= APART * size for other in chosen):

@@ -1,6 +1,6 @@
-"""Work in the background: an update in a thread, and the stages in a program of their own.
+"""Runs updates and stages in the background: updates in a thread, stages as a program.
 
-Neither depends on the browser: a closed tab stops nothing.
+Neither depends on the browser, so closing a tab does not stop them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from isoparticles._programs import case_arguments, program
 LINES = 400
 """Lines of the log that are kept for the page."""
 SHARE = re.compile(r"(\d{1,3}) ?%")
-"""The completed share in a line of the log."""
+"""The completed share in a line of the log, in percent."""
 
 
 class StoppedError(Exception):
@@ -55,7 +55,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """The time since the start, or of the whole work."""
+        """The time since the start, or the duration of the finished work."""
         return (self.ended or time.monotonic()) - self.started
 
     def start(self, work: Callable[[], object]) -> Job:
@@ -96,7 +96,7 @@ class Job:
 
 
 class StagesJob(Job):
-    """A run of ``isoparticles-case``. Stopping it interrupts the stage, which can be resumed."""
+    """A run of ``isoparticles-case``. Stopping it interrupts the stage; the next run resumes it."""
 
     def __init__(self, command: Sequence[str]) -> None:
         super().__init__("stages")

@@ -1,7 +1,7 @@
 """The three-dimensional view: surface, quality colours, clip, balls and cursor.
 
-The scene is made with PyVista. The browser draws it with vtk.js, so that turning it needs neither
-the network nor a graphics card of the server.
+The scene is made with PyVista. The browser draws it with vtk.js, so turning the view needs neither
+the network nor a graphics card in the server.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ COLOURS = {"plain": "one colour", "radius_ratio": "radius ratio", "edge": "edge 
 """Colourings of the surface."""
 MAPS = {"radius_ratio": "RdYlGn", "edge": "viridis", "h": "viridis"}
 MINIMUM_RATIO = 0.3
-"""The minimum radius ratio that passes the check; the scale of colours starts there."""
+"""Default minimum radius ratio of the check. The scale of colours starts there."""
 FLY_DISTANCE = 12.0
-"""Distance of the camera from a place, in edge lengths: about 12 triangles fill the picture."""
+"""Approximate height of the picture after a flight to a place, in edge lengths."""
 VIEW_ANGLE = 30.0
 Camera = dict[str, Any]
 
@@ -72,12 +72,12 @@ class Scene:
 
     def __init__(self) -> None:
         # mypy misreads the decorated methods of PyVista
-        with pv.vtk_verbosity("off"):  # VTK reports a missing X server, and then does without
+        with pv.vtk_verbosity("off"):  # VTK reports a missing X server, and works without one
             plotter: Any = pv.Plotter(off_screen=True)
         self.plotter = plotter
         self._interactor = vtkGenericRenderWindowInteractor()
         self._interactor.SetRenderWindow(plotter.render_window)
-        # otherwise, every movement of the pointer renders a picture that nobody sees
+        # otherwise, every movement of the pointer renders a picture on the server that nobody sees
         self._interactor.EnableRenderOff()
         self._interactor.SetInteractorStyle(vtkInteractorStyleTrackballCamera())
         plotter.set_background(BACKGROUND)
@@ -112,7 +112,7 @@ class Scene:
         self._look_once(surface)
 
     def _look_once(self, surface: pv.PolyData) -> None:
-        """Move the camera to the first surface."""
+        """Store the bounds of a surface, and move the camera to the first one."""
         is_first = self._bounds is None
         low, high = np.reshape(surface.bounds, (3, 2)).T
         self._bounds = low, high
@@ -148,7 +148,7 @@ class Scene:
         return [(k, v) for k, v in COLOURS.items() if surface and (k == "plain" or has_values(surface, k))]
 
     def show_balls(self, balls: Sequence[tuple[Sequence[float], float]], chosen: int) -> None:
-        """Draw the balls of the list; entries without a radius are not balls."""
+        """Draw the balls of the list. Entries with the radius 0 are not balls and are not drawn."""
         spheres = [
             pv.Sphere(radius=radius, center=tuple(centre), theta_resolution=24, phi_resolution=16)
             for centre, radius in balls
@@ -160,7 +160,7 @@ class Scene:
             layer.show(joined(own))
 
     def show_cursor(self, position: Sequence[float], length: float) -> None:
-        """Draw the cursor as three lines."""
+        """Draw the cursor as three lines of the given half length."""
         ends = []
         for axis in range(3):
             step = np.zeros(3)
@@ -179,7 +179,7 @@ class Scene:
             self._look_once(whole)
 
     def look_at_all(self) -> Camera:
-        """Move the camera so that the surface is visible, from the front, left and above."""
+        """Move the camera so that the surface is visible; in LPS, from the front, left and above."""
         low, high = (np.zeros(3), np.ones(3)) if self._bounds is None else self._bounds
         focus, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
         direction = np.array([0.55, -0.75, 0.37])
@@ -187,7 +187,7 @@ class Scene:
         return self._look(focus, focus + distance * direction / np.linalg.norm(direction))
 
     def fly(self, position: Sequence[float], size: float) -> Camera:
-        """Move the camera to a place, outside the surface where that is known."""
+        """Move the camera to a place, to the outside of the surface if there is one."""
         focus = np.asarray(position, dtype=float)
         direction = np.asarray(self.plotter.camera.position) - np.asarray(self.plotter.camera.focal_point)
         if self.surface is not None:
@@ -259,7 +259,7 @@ def has_values(surface: pv.PolyData, name: str) -> bool:
 
 
 def values_of(surface: pv.PolyData, name: str) -> NDArray[Any]:
-    """Return an array as values of triangles: of points, the mean of the corners."""
+    """Return an array as values of triangles. Values at points are averaged over the corners."""
     if name in surface.cell_data:
         return np.asarray(surface.cell_data[name], dtype=float)
     return np.asarray(np.asarray(surface.point_data[name], dtype=float)[surface.regular_faces].mean(axis=1))
@@ -284,7 +284,7 @@ def joined(parts: Sequence[pv.PolyData]) -> pv.PolyData:
 
 
 def clipped(surface: pv.PolyData, clip: tuple[int, float, bool] | None) -> pv.PolyData:
-    """Return the triangles on one side of a plane across an axis of the world, uncut.
+    """Return the whole triangles on one side of a plane perpendicular to an axis of the world.
 
     Parameters
     ----------

@@ -22,9 +22,10 @@ from isoparticles._errors import Error
 
 ADDRESS = "127.0.0.1"
 HOSTS = frozenset({"127.0.0.1", "localhost", "[::1]"})
-"""Names by which a browser on this computer, or at the end of an SSH tunnel, calls the page."""
+"""Host names that a browser on this computer, or at the end of an SSH tunnel, uses."""
 TOKEN_BYTES = 24
-"""192 random bits, as hexadecimal digits: the client of trame turns addresses into lower case."""
+"""Bytes of the token. It is written in hexadecimal digits, because the client of trame turns
+addresses into lower case."""
 MAX_MESSAGE = 256 * 1024 * 1024
 """Maximum bytes of a websocket message. A surface of a million vertices takes about 60 MB."""
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -50,7 +51,7 @@ def guard(token: str) -> Any:
 
 
 def free_port(port: int) -> int:
-    """Return the port, or a free one for 0.
+    """Return the port, or a free port if it is 0.
 
     Raises
     ------
@@ -95,14 +96,14 @@ class PageServer:
         wslink.set_app(outer)
 
     async def _session(self, request: web.Request) -> web.Response:
-        """Tell the page the address of its websocket; the client of trame asks for it."""
+        """Answer the request of the client of trame for the address of the websocket."""
         return web.json_response({"sessionURL": f"ws://{request.host}/{self.token}/ws"})
 
     def start(self, exec_mode: str) -> Any:
         """Serve the page until the program is stopped (``main``), or in a task (``task``)."""
-        # trame reads the command line of this process, which is not its own, unless this is set
+        # otherwise, trame would interpret the command line of this process as its own
         os.environ.setdefault("TRAME_ARGS", "--server")
-        # wslink prints a line for its launcher
+        # otherwise, wslink would print a line for its launcher
         os.environ.setdefault("WSLINK_READY_MSG", "")
         self.server.options["ws_max_msg_size"] = MAX_MESSAGE
         if exec_mode == "main":

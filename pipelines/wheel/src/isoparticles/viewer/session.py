@@ -52,17 +52,17 @@ Request = Ball | Mask
 
 
 def number(value: float) -> str:
-    """Write a length with four significant decimals of a micrometre."""
+    """Write a length in mm, rounded to four decimals."""
     return f"{round(float(value), 4) + 0.0:.10g}"
 
 
 def parse(text: str) -> Request:
-    """Read a request.
+    """Convert the text of an option to a request.
 
     Raises
     ------
     Error
-        If the text is not one.
+        If the text is not a ball or a mask.
     """
     kind, _, rest = text.partition(":")
     what, _, h = rest.rpartition("=")
@@ -98,7 +98,7 @@ class Session:
         self.meshes: list[Mesh] = [mesh]
         self.folder = folder
         self.waiting: list[list[str]] = []
-        """Groups of an earlier session that are to be applied again."""
+        """Groups of an earlier session that :meth:`resume` applies again."""
         self.note = ""
         """What happened to the updates of an earlier session, in words."""
         self.journal = journals.Journal()
@@ -118,7 +118,7 @@ class Session:
 
     @property
     def surface_file(self) -> Path | None:
-        """The surface of the case, or that of a failed check."""
+        """The surface file of the case, or that of a surface with a failed check."""
         if self.folder is None:
             return None
         path = self.folder / f"{self.mesh.name}.surface.vtp"
@@ -179,13 +179,14 @@ class Session:
         self._write()
 
     def apply(self, progress: Progress = None) -> None:
-        """Apply the list of requests: make a new mesh. If this fails, nothing changes."""
+        """Apply the list of requests to make a new mesh. If this fails, nothing changes."""
         if not self.journal.pending:
             raise Error("the list is empty", "an update needs a ball or a region", "place a ball or paint a region")
         group = list(self.journal.pending)
         self._update(group, progress, len(group))
 
     def _update(self, group: Sequence[str], progress: Progress, taken: int = 0) -> None:
+        """Apply a group. The first ``taken`` requests of the list are then no longer pending."""
         mesh: Any = self.mesh
         made: Mesh = mesh.update(*(self._located(text) for text in group), progress=progress)
         self.meshes.append(made)
@@ -195,7 +196,7 @@ class Session:
         self._write()
 
     def _located(self, text: str) -> str:
-        """Return the text with the path of a mask in the folder of the case."""
+        """Return the text, with the name of a mask replaced by its path in the folder of the case."""
         request = parse(text)
         if isinstance(request, Ball) or self.folder is None or Path(request.path).is_absolute():
             return text

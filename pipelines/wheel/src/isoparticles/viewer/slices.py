@@ -25,13 +25,13 @@ PLANES = ("axial", "coronal", "sagittal")
 ACROSS = {"axial": 2, "coronal": 1, "sagittal": 0}
 """The world axis across each plane."""
 OUTLINE_UNITS = 1000.0
-"""Outlines are rounded to a tenth of this part of the longest side of a slice."""
+"""Units of an outline along the longest side of a slice. Positions are rounded to 0.1 units."""
 PAINTED = np.array([255, 0, 140], dtype=np.float64)
-"""Colour of painted voxels; it differs from the colours of labels."""
+"""Colour of painted voxels, which differs from the colours of labels."""
 PAINT_SHARE = 0.55
-"""Share of this colour, so that the volume remains visible."""
+"""Share of this colour in painted voxels. The volume below remains visible."""
 KEPT_OUTLINES = 200
-"""Outlines that are kept for slices that are shown again."""
+"""Maximum number of cached outlines, for slices that are shown again."""
 
 
 class Plane:
@@ -84,7 +84,7 @@ class Plane:
 
     def cut(self, values: NDArray[Any], layer: int) -> NDArray[Any]:
         """Return the values on a slice; the first axis points to the right, the second down."""
-        # np.take copies volumes whose axes are not in the order of C
+        # np.take would copy volumes whose axes are not in the order of C
         found: NDArray[Any] = np.moveaxis(values, self.axis, 0)[layer]
         return found if self.is_down else found[:, ::-1]
 
@@ -101,7 +101,7 @@ class Slices:
         self._outlines: OrderedDict[tuple[str, int], str] = OrderedDict()
         levels = self._shades.values
         self.range = (float(levels[0]), float(levels[-1]))
-        """The values shown as black and white at first."""
+        """The values that are black and white at the start."""
 
     def show_surface(self, surface: pv.PolyData | None) -> None:
         """Set the surface whose outline is drawn."""
@@ -163,14 +163,14 @@ class Slices:
 
 
 def _address(picture: Image.Image) -> str:
-    """Return a picture as the address of a PNG, compressed quickly."""
+    """Return a picture as a data address with a PNG, at the fastest compression."""
     stream = io.BytesIO()
     picture.save(stream, "PNG", compress_level=1)
     return f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
 
 
 def _polygons(surface: pv.PolyData, layer: int) -> list[NDArray[Any]]:
-    """Cut a surface by a plane across z into polygons."""
+    """Return the polygons in which a plane perpendicular to z cuts a surface."""
     lines = surface.contour([layer], scalars=surface.points[:, 2])
     if lines.n_cells == 0:
         return []

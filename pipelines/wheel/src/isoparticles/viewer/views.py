@@ -1,4 +1,4 @@
-"""What the page shows: the state variables, the slices, the surface, the places, the cursor."""
+"""Fills the page: its state variables, slices, surface, list of places, and cursor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from isoparticles.viewer.slices import PLANES, Slices
 
 
 class Views:
-    """The state of the page."""
+    """The state of the page, and the objects that it shows."""
 
     def __init__(self, server: Any, shown: cases.Shown) -> None:
         self.server, self.state = server, server.state
@@ -93,7 +93,7 @@ class Views:
             }
 
     def show_error(self, error: Exception) -> None:
-        """Show an error in three parts."""
+        """Show an error on the page: what is wrong, why it matters, what to do."""
         if isinstance(error, Error):
             self.state.problem = {"what": error.what, "why": error.why, "next": error.next}
         else:
@@ -129,7 +129,7 @@ class Views:
         self.draw_slices()
 
     def find_places(self) -> None:
-        """List the places of the mesh. The last reports describe the mesh of the stages."""
+        """List the places of the mesh. The reports describe the mesh before any update on the page."""
         assert self.session is not None
         is_first = len(self.session.meshes) == 1 and not self.session.journal.applied
         folder = self.shown.folder if is_first else None
@@ -162,7 +162,7 @@ class Views:
     def move_to(self, position: Sequence[float]) -> None:
         """Move the cursor, which all views share."""
         self.cursor = np.asarray(position, dtype=float)
-        # long enough to stick out of the surface
+        # long enough to extend beyond the surface
         self.scene.show_cursor(self.cursor.tolist(), 2.0 * float(self.state.radius_max))
         here = ", ".join(f"{x:.1f}" for x in self.cursor)
         self.state.cursor_text = f"{here} mm"
@@ -173,7 +173,7 @@ class Views:
         self.refresh_view()
 
     def draw_slices(self, images: bool = True) -> None:
-        """Draw the three slices at the cursor: pictures, outlines, balls and cursor lines."""
+        """Draw the slices at the cursor: pictures (if ``images``), outlines, balls and cursor lines."""
         if self.slices is None:
             return
         for name, plane in self.slices.planes.items():
@@ -226,7 +226,7 @@ class Views:
 
 
 def told(request: Request) -> str:
-    """Describe a request."""
+    """Describe a request for the list."""
     if isinstance(request, Mask):
         return f"region {request.path.rpartition('/')[2]}, h = {request.h:.4g} mm"
     centre = ", ".join(f"{x:.1f}" for x in request.centre)
