@@ -7,6 +7,7 @@ use crate::program::{self, Ended};
 use crate::settings::Settings;
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
+use std::path::PathBuf;
 
 /// Returns `first`, the command that makes the surface, and the commands that change it in each
 /// region in turn. Intermediate files have the names of the results of the case, in folders of
@@ -87,10 +88,24 @@ pub(crate) fn run(folder: &CaseFolder, commands: &[Command]) -> Result<Ended> {
     }
     let mut ended = Ok(Ended::Code(0));
     for command in commands {
-        if matches!(ended, Ok(Ended::Code(0))) {
-            ended = program::run(&command.program, &command.arguments);
+        ended = program::run(&command.program, &command.arguments);
+        if !matches!(ended, Ok(Ended::Code(0))) {
+            keep_surface(folder, command);
+            break;
         }
     }
     between.iter().filter(|_| has_updates).for_each(|path| drop(std::fs::remove_dir_all(path)));
     ended
+}
+
+/// Moves the surface that a command has written, and its offending simplices, to the places of the
+/// result. The case then keeps them like any surface that fails a check.
+fn keep_surface(folder: &CaseFolder, command: &Command) {
+    let result = folder.file("surface.vtp");
+    let output = command.arguments.iter().skip_while(|word| *word != "-o").nth(1).map(PathBuf::from);
+    let Some(surface) = output.filter(|path| path.file_name() == result.file_name()) else { return };
+    for ending in ["vtp", "offending.vtp"] {
+        // a file that the command has not written cannot be moved
+        let _ = std::fs::rename(surface.with_extension(ending), result.with_extension(ending));
+    }
 }

@@ -23,7 +23,7 @@ RIM = 4
 
 
 def region(mesh: iso.Mesh, random: np.random.Generator) -> tuple[str, np.ndarray, float]:
-    """Return a random ball at a vertex, its centre, and the distance within which the mesh may change."""
+    """Return a random ball at a vertex, its centre, and how far from it the mesh may change."""
     vertices, sizes = mesh.result.vertices, mesh.result.point_arrays["h"]
     at = int(random.integers(len(vertices)))
     centre, h = vertices[at], sizes[at]

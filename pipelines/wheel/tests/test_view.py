@@ -136,8 +136,8 @@ def test_a_surface_with_a_failed_check_opens(iso: ModuleType, session: Any, tmp_
 def test_the_command_repeats_the_updates() -> None:
     module = importlib.import_module("isoparticles.viewer.session")
     settings = {"LABELS": "1", "MIN_SIZE": "2", "INPUT": "a b.nrrd", "RESIZE": "old"}
-    assert module.command_line("surface", settings, "out", f"{BALL};mask:m.vti=1") == (
-        f"isoparticles surface 'a b.nrrd' --labels 1 --min-size 2 --out out --resize '{BALL};mask:m.vti=1'"
+    assert module.command_line("surface", settings, "out", f"{BALL} mask:m.vti=1") == (
+        f"isoparticles surface 'a b.nrrd' --labels 1 --min-size 2 --out out --resize '{BALL} mask:m.vti=1'"
     )
 
 

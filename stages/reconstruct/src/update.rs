@@ -32,7 +32,7 @@ const SAME_SIZE: f64 = 1e-6;
 
 /// Distance from F = 0, in voxels. If more than half of the vertices are farther away, the surface
 /// belongs to another field and is rejected.
-const FARTHEST: f64 = 1.0;
+pub(crate) const FARTHEST: f64 = 1.0;
 
 /// Data that depend only on the field, so that all updates of a field can share them.
 pub enum Reference {
@@ -79,7 +79,8 @@ pub fn update(
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
     let mut mesh = in_grid(&previous.mesh, &field.geometry);
-    check_belongs(&mesh, spline)?;
+    let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > FARTHEST * spline.voxel();
+    check_belongs(&mesh, mesh.vertices.par_iter().filter(is_far).count(), "F = 0")?;
     let size = |p: DVec3| sizing.at(p);
     let within = changing(&mesh, &sizes_of(previous)?, &size);
     let before = mesh.vertices.clone();
@@ -129,16 +130,18 @@ pub(crate) fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
     })
 }
 
-/// Returns an error if the mesh is empty or not well-formed, or does not lie on F = 0.
-fn check_belongs(mesh: &TriangleMesh, spline: &CubicSpline) -> Result<()> {
-    let far = FARTHEST * spline.voxel();
-    let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > far;
-    let count = mesh.vertices.par_iter().filter(is_far).count();
-    if mesh.is_well_formed() && 2 * count <= mesh.vertices.len() && !mesh.triangles.is_empty() {
+/// Returns an error if the mesh is empty or not well-formed, or if most of its vertices are far
+/// from `target`: F = 0 or the interfaces. `far` is the number of these vertices.
+pub(crate) fn check_belongs(mesh: &TriangleMesh, far: usize, target: &str) -> Result<()> {
+    let what = if mesh.triangles.is_empty() || !mesh.is_well_formed() {
+        "the surface has no triangles, or a coordinate that is not finite".to_owned()
+    } else if 2 * far > mesh.vertices.len() {
+        format!("{far} of {} vertices are not within {FARTHEST} voxel of {target}", mesh.vertices.len())
+    } else {
         return Ok(());
-    }
+    };
     Err(Error::input(
-        format!("{count} of {} vertices are not within {FARTHEST} voxel of F = 0", mesh.vertices.len()),
+        what,
         "the surface does not belong to the distance field",
         "pass the distance field from which the surface was made",
     ))

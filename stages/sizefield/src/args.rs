@@ -118,8 +118,9 @@ pub struct Args {
     /// than h was. Near the border of the region, h differs from h outside by at most delta per mm
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD)]
     pub(crate) resize: Vec<Region>,
-    /// Apply --resize to this size field instead of computing one. h keeps its value, bit for bit,
-    /// except in the regions and in a rim around them where h must be lowered
+    /// Apply --resize to this size field of F.vti instead of computing one; F.vti is not read. h
+    /// keeps its value, bit for bit, except in the regions and in a rim around them where h must be
+    /// lowered
     #[arg(long, value_name = "S.vti", requires = "resize", help_heading = FILES,
         conflicts_with_all = ["quality", "epsilon", "min_size", "max_size", "max_deviation", "scale", "size", "uniform", "vertices", "refine"])]
     pub(crate) update: Option<PathBuf>,

@@ -126,7 +126,7 @@ class SizefieldOptions(TypedDict, total=False):
     #: Limit h to H (mm) within RADIUS of a point or in the nonzero voxels of a mask volume (on any
     #: grid), or to the values of the point array ``h`` at the points of a .vtp or .vtu file.
     refine: str | Iterable[str]
-    #: Afterwards, set h to H in a region, with the forms of ``--refine``.
+    #: Set h to H in a region, after all other options have determined h.
     resize: str | Iterable[str]
     #: Number of CPU threads, 0 for all cores. Default: 0.
     threads: int

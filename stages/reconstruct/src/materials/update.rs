@@ -8,7 +8,7 @@ use crate::improve::ImproveOptions;
 use crate::interfaces::{Interfaces, Joined};
 use crate::materials::each::SIDES;
 use crate::options::Options;
-use crate::update::{changing, in_grid, kept, sizes_of};
+use crate::update::{FARTHEST, changing, check_belongs, in_grid, kept, sizes_of};
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, Material, MaterialId};
 use isoparticles_field::sizing::SizingField;
@@ -34,8 +34,8 @@ pub fn update(
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
     let phase = monitor.phase("read the interfaces");
-    let mut interfaces = interfaces_of(previous, indicators, nodes.geometry())?;
-    join_the_distant(&mut interfaces, indicators, options);
+    let mut interfaces = interfaces_of(previous, indicators, nodes.geometry(), table.len())?;
+    join_the_distant(&mut interfaces, indicators, options)?;
     drop(phase);
     monitor.check()?;
 
@@ -67,7 +67,13 @@ pub fn update(
 }
 
 /// Converts a surface to interfaces in the grid frame, with the edges of their junction curves.
-fn interfaces_of(surface: &Surface, indicators: &dyn Indicators, geometry: &Geometry) -> Result<Interfaces> {
+/// `count` is the number of materials.
+fn interfaces_of(
+    surface: &Surface,
+    indicators: &dyn Indicators,
+    geometry: &Geometry,
+    count: usize,
+) -> Result<Interfaces> {
     let array = |name: &str| {
         let found = surface.cell_data.iter().find(|array| array.name == name)?;
         let values = found.values.to_f64();
@@ -80,6 +86,14 @@ fn interfaces_of(surface: &Surface, indicators: &dyn Indicators, geometry: &Geom
             "pass a .vtp file that reconstruct has written from the same indicators",
         ));
     };
+    let count = count as f64;
+    if inside.iter().chain(&outside).any(|&id| !(0.0..count).contains(&id)) {
+        return Err(Error::input(
+            format!("a triangle has a material with a number above {}", count - 1.0),
+            "the surface does not belong to these indicators",
+            "pass the indicators from which the surface was made",
+        ));
+    }
     let cap = array("cap").unwrap_or_else(|| vec![0.0; inside.len()]);
     let first_beyond = indicators.first_beyond();
     let beyond = |cap: f64| first_beyond.filter(|_| cap > 0.0).map(|first| MaterialId(first.0 + cap as u16 - 1));
@@ -100,7 +114,10 @@ fn interfaces_of(surface: &Surface, indicators: &dyn Indicators, geometry: &Geom
 /// Records as joined the vertices that are farther than the limit of the check from one of their
 /// interfaces. In the surface of a reconstruction, these are vertices at which strata were merged.
 /// The check accepts their present distances.
-fn join_the_distant(interfaces: &mut Interfaces, indicators: &dyn Indicators, options: &Options) {
+///
+/// # Errors
+/// If most vertices are far from their interfaces.
+fn join_the_distant(interfaces: &mut Interfaces, indicators: &dyn Indicators, options: &Options) -> Result<()> {
     let limit = options.max_vertex_distance * indicators.voxel();
     let distance = |&(v, [i, j]): &(u32, [MaterialId; 2])| {
         let (value, gradient) = indicators.difference_gradient(i, j, interfaces.mesh.vertices[v as usize]);
@@ -108,9 +125,13 @@ fn join_the_distant(interfaces: &mut Interfaces, indicators: &dyn Indicators, op
     };
     let distances: Vec<(u32, f64)> = interfaces.pairs_at_vertices().par_iter().map(distance).collect();
     let of_vertex = distances.chunk_by(|a, b| a.0 == b.0);
-    let worst = of_vertex.map(|own| (own[0].0, own.iter().map(|(_, distance)| *distance).fold(0.0, f64::max)));
-    interfaces.joined =
-        worst.filter(|own| own.1 > limit).map(|(vertex, distance)| Joined { vertex, distance }).collect();
+    let worst: Vec<(u32, f64)> =
+        of_vertex.map(|own| (own[0].0, own.iter().map(|(_, distance)| *distance).fold(0.0, f64::max))).collect();
+    let far = worst.iter().filter(|own| own.1 > FARTHEST * indicators.voxel()).count();
+    check_belongs(&interfaces.mesh, far, "its interfaces")?;
+    let distant = worst.into_iter().filter(|own| own.1 > limit);
+    interfaces.joined = distant.map(|(vertex, distance)| Joined { vertex, distance }).collect();
+    Ok(())
 }
 
 #[cfg(test)]

@@ -84,6 +84,8 @@ def view(
     from isoparticles.viewer.page import Page
 
     if isinstance(mesh, (str, os.PathLike)):
+        if image is not None or folder is not None:
+            raise TypeError("image and folder are only for a Mesh; a case has its own")
         shown = cases.open_case(os.fsdecode(mesh), Path("out"))
     else:
         shown = cases.of_mesh(mesh, image, None if folder is None else Path(folder))

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 FLIP = np.array([-1.0, -1.0, 1.0])
 """Signs between LPS and RAS."""
-MAX_LABELS = 256
-"""An integer volume without names of labels counts as a label map if it has at most half as many
-different values. A CT of 8 bits that uses all values has 256."""
+MAX_LABELS = 250
+"""An integer volume without names of labels counts as a label map if it has at most so many
+different values. An 8-bit scan that uses all values has 256, the largest atlases about 200."""
 
 MARGIN = 0.3
 """Margin of the slices around the mesh, relative to its longest side."""
@@ -163,7 +163,7 @@ def _read(path: Path, is_labels: bool | None, reading: dict[str, object]) -> Sca
     """Read a volume. If ``is_labels`` is None, the data type, names and values decide."""
     scan = read_scan(path, bool(is_labels), reading)
     if is_labels is None and np.issubdtype(scan.values.dtype, np.integer):
-        scan = replace(scan, labels=bool(scan.names) or len(np.unique(scan.values)) <= MAX_LABELS // 2)
+        scan = replace(scan, labels=bool(scan.names) or len(np.unique(scan.values)) <= MAX_LABELS)
     return scan.upright()
 
 

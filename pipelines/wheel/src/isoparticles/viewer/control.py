@@ -132,7 +132,7 @@ class Control(Views):
     def on_release(
         self, x: float, y: float, tool: str, size: Sequence[float] | None = None, camera: Any = None
     ) -> None:
-        """Handle a click on the surface. By default, the camera is that of the pictures of the server."""
+        """Handle a click on the surface, by default with the camera of the server's pictures."""
         if size is None or camera is None:
             size, camera = self.scene.own_camera()
         pressed, self._pressed = self._pressed, None
@@ -201,7 +201,7 @@ class Control(Views):
         self.refresh_view()
 
     def factor(self, value: float) -> None:
-        """Set h of the selected request to a multiple of the present h at its centre or at the cursor."""
+        """Set h of the selected request to a multiple of the present h there."""
         if self.session is not None and 0 <= self.state.chosen < len(self.requests):
             request = self.requests[self.state.chosen]
             centre = request.centre if isinstance(request, Ball) else self.cursor.tolist()

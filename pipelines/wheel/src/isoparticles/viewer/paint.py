@@ -40,7 +40,7 @@ class Paint:
         self._flags = None
 
     def dab(self, position: NDArray[Any], radius: float) -> None:
-        """Paint the voxels within a radius of a position in the world, and at least the nearest one."""
+        """Paint the voxels within a radius of a position, and at least the nearest."""
         scan, flags = self.scan, self.flags
         centre = scan.to_index(np.asarray(position, dtype=float)[None])[0]
         reach = radius / scan.spacing
@@ -53,7 +53,7 @@ class Paint:
         flags[tuple(np.clip(np.rint(centre), 0, last).astype(int))] = 1
 
     def centre(self) -> NDArray[Any]:
-        """Return the world position of the painted voxel nearest to the mean of all painted voxels."""
+        """Return the world position of the painted voxel nearest to their mean."""
         index = np.argwhere(self.flags)
         middle = index[np.linalg.norm(index - index.mean(axis=0), axis=1).argmin()]
         return np.asarray(self.scan.origin + self.scan.step @ middle)

@@ -121,7 +121,7 @@ class StagesJob(Job):
             for line in process.stdout:
                 self._read(line.rstrip())
         self.code = process.returncode
-        if self.code == 2 and not self.was_stopped:
+        if self.code not in (0, 1) and not self.was_stopped:
             raise Error("the stages ended with an error", "there is no surface", "see the log for the reason")
 
     def _read(self, line: str) -> None:

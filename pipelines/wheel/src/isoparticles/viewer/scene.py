@@ -179,7 +179,7 @@ class Scene:
             self._look_once(whole)
 
     def look_at_all(self) -> Camera:
-        """Move the camera so that the surface is visible; in LPS, from the front, left and above."""
+        """Move the camera back to the whole surface; in LPS, from the front, left and above."""
         low, high = (np.zeros(3), np.ones(3)) if self._bounds is None else self._bounds
         focus, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
         direction = np.array([0.55, -0.75, 0.37])

@@ -196,7 +196,7 @@ class Session:
         self._write()
 
     def _located(self, text: str) -> str:
-        """Return the text, with the name of a mask replaced by its path in the folder of the case."""
+        """Return the text, with the path of a mask in the folder of the case."""
         request = parse(text)
         if isinstance(request, Ball) or self.folder is None or Path(request.path).is_absolute():
             return text

@@ -129,7 +129,7 @@ class Views:
         self.draw_slices()
 
     def find_places(self) -> None:
-        """List the places of the mesh. The reports describe the mesh before any update on the page."""
+        """List the places of the mesh. The reports describe it before any update."""
         assert self.session is not None
         is_first = len(self.session.meshes) == 1 and not self.session.journal.applied
         folder = self.shown.folder if is_first else None
@@ -173,7 +173,7 @@ class Views:
         self.refresh_view()
 
     def draw_slices(self, images: bool = True) -> None:
-        """Draw the slices at the cursor: pictures (if ``images``), outlines, balls and cursor lines."""
+        """Draw the slices at the cursor, with new pictures if ``images``."""
         if self.slices is None:
             return
         for name, plane in self.slices.planes.items():
