@@ -126,6 +126,7 @@ class Views:
         self.state.legend = self.scene.legend
         self.find_places()
         self.list_requests()
+        self.show_size()
         self.draw_slices()
 
     def find_places(self) -> None:
@@ -166,11 +167,15 @@ class Views:
         self.scene.show_cursor(self.cursor.tolist(), 2.0 * float(self.state.radius_max))
         here = ", ".join(f"{x:.1f}" for x in self.cursor)
         self.state.cursor_text = f"{here} mm"
+        self.show_size()
+        self.draw_slices()
+        self.refresh_view()
+
+    def show_size(self) -> None:
+        """Show h at the cursor."""
         if self.session is not None:
             h = size_at(self.session.mesh, self.cursor.tolist())
             self.state.h_here = f"{h:.3g}"
-        self.draw_slices()
-        self.refresh_view()
 
     def draw_slices(self, images: bool = True) -> None:
         """Draw the slices at the cursor, with new pictures if ``images``."""
