@@ -182,7 +182,8 @@ impl Queue {
             heap: BinaryHeap::new(),
             tier_of: vec![DONE; count],
             at_nodes: surface.triangles_at_wrong_nodes(),
-            limit: WASTED_WORK_LIMIT * surface.frozen.iter().filter(|frozen| !**frozen).count() / surface.frozen.len(),
+            limit: WASTED_WORK_LIMIT * surface.frozen.iter().filter(|frozen| !**frozen).count()
+                / surface.frozen.len().max(1),
         };
         (0..count as u32).for_each(|t| queue.enter(surface, t, 0));
         queue
