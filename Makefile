@@ -319,7 +319,7 @@ $(WHEEL_VENV)/.made: pipelines/wheel/requirements.lock | env
 # layout of /usr/share. The wheel contains those for its own commands.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
-SHARE_GOALS = info convert read mesh surface verdict page clean demo index batch tetmesh-check
+SHARE_GOALS = info convert read mesh surface verdict page clean demo index view batch tetmesh-check
 completions: build env
 	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
 	@lines=$$(mktemp -d) && trap 'rm -rf "$$lines"' EXIT && bin=$(call quote,$(BIN)) && shells() { command=$$1 name=$$2 && shift 2 \

@@ -204,8 +204,12 @@ def test_updates_are_those_of_a_case(iso: ModuleType, scripts: Path, tmp_path: P
     last = first.update(*regions)
     last.save(tmp_path / "new")
     folder = tmp_path / "out" / "two"
-    for name in ("two.surface.vtp", "two.sizefield.vti", "updates/two.sizefield.vti"):
+    for name in ("two.sizefield.vti", "updates/two.sizefield.vti"):
         assert (tmp_path / "new" / name).read_bytes() == (folder / name).read_bytes(), name
+    # the histories differ: a case passes a log and a checkpoint to particles
+    of_case = iso.load(folder / "two.surface.vtp")
+    np.testing.assert_array_equal(of_case.vertices, last.result.vertices)
+    np.testing.assert_array_equal(of_case.triangles, last.result.triangles)
     again = iso.mesh(tmp_path / "in.vti", **settings, resize=" ".join(regions))
     np.testing.assert_array_equal(again.result.vertices, last.result.vertices)
     opened = iso.Mesh.open(folder)
