@@ -37,10 +37,10 @@ pub(crate) fn commands(
             file("distfield.vti"),
             word("--update"),
             previous,
-            word("--resize"),
-            word(region),
             word("-o"),
             sized.clone(),
+            word("--resize"),
+            word(region),
         ];
         // all commands write the report of the stage; that of the last one remains
         let report = folder.path.join(report_name("reconstruct")).into_os_string();

@@ -31,7 +31,7 @@ fn regions_are_resized_in_turn_as_by_the_programs() {
         std::fs::create_dir_all(folder.path().join((n + 1).to_string())).expect("folder");
         let field = case.file("distfield.vti");
         let sized = at(n + 1, "sizefield.vti");
-        stage("sizefield", arguments![&field, "--update", at(n, "sizefield.vti"), "--resize", region, "-o", &sized])
+        stage("sizefield", arguments![&field, "--update", at(n, "sizefield.vti"), "-o", &sized, "--resize", region])
             .expect_success("sizefield");
         let fields = arguments!["--distfield", &field, "--sizefield", &sized, "-o", at(n + 1, "surface.vtp")];
         let words = [arguments!["--update", at(n, "surface.vtp")], fields].concat();
