@@ -19,11 +19,14 @@ use isoparticles_mesh::surface::Surface;
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Number of rings of vertices that may also change, around the vertices at which h has changed.
+/// With 1, 2, 3 and 5 rings, the changed triangles of `heart_label` 1 (20,000 vertices, h = 3.5
+/// instead of 1.86 mm in a ball of 14 mm) reach a mean radius ratio of 0.937, 0.944, 0.951 and
+/// 0.951. With a smaller h, one ring is as good as three.
 const RIM: usize = 3;
 
 /// Relative differences of h up to this value are due to rounding. Without a change, the same f32
@@ -31,7 +34,7 @@ const RIM: usize = 3;
 const SAME_SIZE: f64 = 1e-6;
 
 /// Distance from F = 0, in voxels. If more than half of the vertices are farther away, the surface
-/// belongs to another field and is rejected.
+/// belongs to another field and is rejected. The same rule applies to particles.
 pub(crate) const FARTHEST: f64 = 1.0;
 
 /// Data that depend only on the field, so that all updates of a field can share them.
@@ -78,7 +81,7 @@ pub fn update(
     options: &Options,
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
-    let mut mesh = in_grid(&previous.mesh, &field.geometry);
+    let mut mesh = previous.to_grid(&field.geometry);
     let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > FARTHEST * spline.voxel();
     check_belongs(&mesh, mesh.vertices.par_iter().filter(is_far).count(), "F = 0")?;
     let size = |p: DVec3| sizing.at(p);
@@ -107,15 +110,6 @@ pub(crate) fn kept(
     let numbered = numbers.iter().zip(before.iter().zip(&previous.vertices));
     let is_kept = |number: u32, place: DVec3| number != u32::MAX && mesh.vertices[number as usize] == place;
     numbered.filter(|(number, (place, _))| is_kept(**number, **place)).map(|(&number, (_, &p))| (number, p)).collect()
-}
-
-/// Maps a mesh from world coordinates to the grid frame; the inverse of [`Surface::from_grid`].
-pub(crate) fn in_grid(mesh: &TriangleMesh, geometry: &Geometry) -> TriangleMesh {
-    let turn = geometry.is_left_handed();
-    TriangleMesh {
-        vertices: mesh.vertices.iter().map(|&p| geometry.world_to_grid(p)).collect(),
-        triangles: mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect(),
-    }
 }
 
 /// Returns h at the vertices of a surface.

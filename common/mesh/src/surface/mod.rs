@@ -79,6 +79,15 @@ impl Surface {
         let mesh = TriangleMesh { vertices, triangles };
         Self { mesh, point_data: Vec::new(), cell_data: Vec::new(), space: geometry.space }
     }
+
+    /// Maps the mesh from the world frame to the grid frame, the inverse of [`Self::from_grid`] up
+    /// to rounding.
+    pub fn to_grid(&self, geometry: &Geometry) -> TriangleMesh {
+        let turn = geometry.is_left_handed();
+        let triangles = self.mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect();
+        let vertices = self.mesh.vertices.iter().map(|&vertex| geometry.world_to_grid(vertex)).collect();
+        TriangleMesh { vertices, triangles }
+    }
 }
 
 /// Points, segments and triangles to display, in world coordinates. They show, for example, where a

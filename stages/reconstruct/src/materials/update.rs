@@ -8,7 +8,7 @@ use crate::improve::ImproveOptions;
 use crate::interfaces::{Interfaces, Joined};
 use crate::materials::each::SIDES;
 use crate::options::Options;
-use crate::update::{FARTHEST, changing, check_belongs, in_grid, kept, sizes_of};
+use crate::update::{FARTHEST, changing, check_belongs, kept, sizes_of};
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, Material, MaterialId};
 use isoparticles_field::sizing::SizingField;
@@ -102,7 +102,7 @@ fn interfaces_of(
         [MaterialId(inside as u16), beyond(cap).unwrap_or(MaterialId(outside as u16))]
     };
     let mut interfaces = Interfaces {
-        mesh: in_grid(&surface.mesh, geometry),
+        mesh: surface.to_grid(geometry),
         between: sides.map(pair).collect(),
         first_beyond,
         ..Interfaces::default()
