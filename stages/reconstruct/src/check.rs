@@ -196,11 +196,8 @@ impl Checker<'_> {
         report.junctions.junction_points = self.meeting.iter().filter(|&&count| count > 3).count();
         let (mut spurious, mut is_present) = (Vec::new(), vec![false; segments.len()]);
         if self.kinds.len() > 1 || !segments.is_empty() {
-            let differ = |own: &[(Segment, u32)]| {
-                let pair = between[own[0].1 as usize];
-                own.iter().any(|(_, t)| between[*t as usize] != pair)
-            };
-            for own in self.interfaces.edges().chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2 || differ(own)) {
+            let edges = self.interfaces.edges();
+            for own in edges.chunk_by(|a, b| a.0 == b.0).filter(|own| self.interfaces.is_of_curve(own)) {
                 report.junctions.junction_edges += 1;
                 match segments.binary_search_by_key(&own[0].0, |(pair, _)| *pair) {
                     Ok(n) => {

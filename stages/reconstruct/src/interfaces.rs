@@ -98,10 +98,14 @@ impl Interfaces {
             Some((own[0].0, Stratum::new(&ids[..ids.len().min(4)])?))
         };
         let edges = self.edges();
-        let differs = |own: &&[(Segment, u32)]| {
-            own.iter().any(|(_, t)| self.between[*t as usize] != self.between[own[0].1 as usize])
-        };
-        edges.chunk_by(|a, b| a.0 == b.0).filter(|own| own.len() > 2 || differs(own)).filter_map(curve).collect()
+        edges.chunk_by(|a, b| a.0 == b.0).filter(|own| self.is_of_curve(own)).filter_map(curve).collect()
+    }
+
+    /// Returns whether an edge, given with each of its triangles, belongs to more than two triangles
+    /// or to triangles of different interfaces.
+    pub fn is_of_curve(&self, edge: &[(Segment, u32)]) -> bool {
+        let first = self.between[edge[0].1 as usize];
+        edge.len() > 2 || edge.iter().any(|(_, t)| self.between[*t as usize] != first)
     }
 
     /// Returns each vertex together with each of its interfaces, ascending.
