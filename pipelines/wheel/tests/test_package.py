@@ -219,6 +219,11 @@ def test_updates_are_those_of_a_case(iso: ModuleType, scripts: Path, tmp_path: P
     assert set(map(tuple, first.result.vertices)) & set(map(tuple, last.result.vertices))
     first.save(folder, overwrite=True)
     assert not (folder / "updates" / "two.sizefield.vti").exists()
+    # its junction curves would be taken from the surface, with their faults
+    failed = iso.reconstruct(first.particles, first.field, first.size, min_radius_ratio=0.99)
+    assert failed.failed_checks
+    with pytest.raises(iso.Error, match="has failed a check"):
+        iso.reconstruct(failed, first.field, last.size)
 
 
 # --- Images --------------------------------------------------------------------------------------

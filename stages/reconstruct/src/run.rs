@@ -94,19 +94,18 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
         Inputs::Surface { previous, distance, sizing, reference } => {
             let space = previous.surface.space;
             let reference = reference.filter(|_| distance.geometry().space == space);
-            let distance = distance.in_space(space);
-            let reference = reference.map_or_else(|| Reference::new(&distance, context).map(Arc::new), Ok)?;
-            compute_update(args, &previous, (&distance, &reference), &sizing.in_space(space), context)
+            let fields = (&distance.in_space(space), reference);
+            compute_update(args, &previous, fields, &sizing.in_space(space), context)
         }
     }
 }
 
-/// Updates a finished surface. `distance`, `reference` and `sizing` are in the world frame of the
-/// surface.
+/// Updates a finished surface. `distance`, `sizing` and `reference`, if given, are in the world
+/// frame of the surface.
 fn compute_update(
     args: &Args,
     previous: &SurfaceFile,
-    (distance, reference): (&DistanceField, &Reference),
+    (distance, reference): (&DistanceField, Option<Arc<Reference>>),
     sizing: &Field,
     context: &Context,
 ) -> Result<Made> {
@@ -127,8 +126,12 @@ fn compute_update(
         "raise --max-memory",
     )?;
     let sizing = SizingField::new(Arc::clone(&sizing.image));
+    if distance.is_materials() {
+        materials::compute::refuse_failed(args, previous)?;
+    }
     let surface = &previous.surface;
-    match (distance, reference) {
+    let reference = reference.map_or_else(|| Reference::new(distance, context).map(Arc::new), Ok)?;
+    match (distance, &*reference) {
         (DistanceField::Object(field), Reference::Object(spline, topology)) => {
             let told: DistanceMeta = meta::typed(path, &field.meta, "distfield")?;
             let options = args.options(&told);

@@ -16,7 +16,7 @@ use isoparticles_field::materials::MaterialId;
 use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::quality::radius_ratios;
-use isoparticles_mesh::surface::{DataArray, Surface};
+use isoparticles_mesh::surface::{DataArray, Surface, SurfaceFile};
 use isoparticles_stage::cli::{Context, FIT_BUT_FOR};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::materials_file::MaterialsFile;
@@ -43,6 +43,24 @@ pub(crate) fn compute(
     let made = reconstruct((&file.particles, strata), &given.materials, names, sizing, &options, context)
         .map_err(|error| about(&args.particles, error))?;
     finished(&made, given, &told, &options, context)
+}
+
+/// Returns an error if a surface has failed a check. An update takes the junction curves, and the
+/// vertices at which strata are merged, from the surface itself. It could not find the faults of
+/// those again.
+///
+/// # Errors
+/// If the metadata lists a failed check or cannot be read.
+pub(crate) fn refuse_failed(args: &Args, previous: &SurfaceFile) -> Result<()> {
+    let told: SurfaceMeta = meta::typed(&args.particles, &previous.meta, "reconstruct")?;
+    match told.failed_checks.first() {
+        None => Ok(()),
+        Some(first) => Err(Error::input(
+            format!("{}: has failed a check: {first}", args.particles.display()),
+            "an update of many materials takes the junction curves from the surface, and would accept their faults",
+            "update a surface that has passed, or change the options of the stages until this one does",
+        )),
+    }
 }
 
 /// Updates the interfaces of `previous` where h has changed to `sizing`.
