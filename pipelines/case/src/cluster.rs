@@ -177,7 +177,7 @@ fn inputs_of(stage: &str, case: &Case) -> Vec<PathBuf> {
         ("distfield", Volume::At(path)) => inputs::paths_of_volume(path),
         _ => Vec::new(),
     };
-    paths.extend(inputs::paths_named_in(&case.settings, command::options_key(stage)));
+    paths.extend(command::keys_with_files(stage).flat_map(|key| inputs::paths_named_in(&case.settings, key)));
     if stage == "distfield" {
         paths.extend(inputs::crop_mask(&case.settings).iter().flat_map(|mask| inputs::paths_of_volume(mask)));
         paths.extend(inputs::paths_named_in(&case.settings, "PHANTOM"));

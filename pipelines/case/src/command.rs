@@ -105,6 +105,11 @@ pub(crate) fn options_key(stage: &str) -> &'static str {
     }
 }
 
+/// Returns the keys whose values may name input files of a stage, besides the volume.
+pub(crate) fn keys_with_files(stage: &str) -> impl Iterator<Item = &'static str> {
+    [options_key(stage)].into_iter().chain((stage == "reconstruct").then_some("RESIZE"))
+}
+
 /// Options for reading the volume, each with the key that sets it.
 pub const READING_BY_KEY: [(&str, &str); 4] =
     [("--series", "SERIES"), ("--spacing", "SPACING"), ("--crop", "CROP"), ("--downsample", "DOWNSAMPLE")];

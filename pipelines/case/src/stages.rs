@@ -1,7 +1,7 @@
 //! Plans the stages of a case: their commands, and the hashes that determine which stages have to
 //! run again.
 
-use crate::command::{Command, Programs, Volume, arguments, options, options_key, program_of, resizes};
+use crate::command::{Command, Programs, Volume, arguments, keys_with_files, options, program_of, resizes};
 use crate::folder::{Belongings, CaseFolder, STAGES};
 use crate::inputs::{self, hash_program};
 use crate::read;
@@ -73,9 +73,8 @@ pub fn plan(
         if name == "distfield" {
             inputs.extend(inputs::of_crop(settings, before)?);
         }
-        inputs.extend(inputs::named_in(settings, options_key(name), before)?);
-        if name == "reconstruct" {
-            inputs.extend(inputs::named_in(settings, "RESIZE", before)?);
+        for key in keys_with_files(name) {
+            inputs.extend(inputs::named_in(settings, key, before)?);
         }
         let options = options(name, settings);
         let hxt = hxt(name, settings);
