@@ -35,6 +35,11 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
+    /// Returns the common part of two boxes; empty if they do not meet.
+    pub fn intersection(self, other: &Self) -> Self {
+        Self { low: self.low.max(other.low), high: self.high.min(other.high) }
+    }
+
     /// Returns whether two boxes intersect. Touching boxes intersect.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {

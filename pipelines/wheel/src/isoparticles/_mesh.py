@@ -117,8 +117,21 @@ class Mesh:
 
     @cached_property
     def report(self) -> Report:
-        """The checks, the quality of the triangles, the volumes and the reports of the stages."""
-        return read_report({stage: result.report or {} for stage, result in self.stages.items()})
+        """The checks, the quality of the triangles, the volumes and the reports of the stages.
+
+        Raises
+        ------
+        Error
+            If the mesh was read from files, which contain no reports.
+        """
+        reports = {stage: result.report for stage, result in self.stages.items() if result.report is not None}
+        if len(reports) < len(self.stages):
+            raise Error(
+                f"{self.name}: the mesh was read from files, without the reports of the stages",
+                "they contain the checks and the quality",
+                "see failed_checks for the checks, or make the mesh with isoparticles.mesh",
+            )
+        return read_report(reports)
 
     @property
     def failed_checks(self) -> list[str]:

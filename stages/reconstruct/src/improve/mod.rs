@@ -14,6 +14,7 @@ mod lift;
 mod moves;
 mod nodes;
 mod optimise;
+mod part;
 mod patch;
 mod remesh;
 mod ring;
@@ -46,6 +47,7 @@ use isoparticles_mesh::quality::{QualitySummary, summarise};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, Image};
 use nodes::NodeSides;
+use part::Part;
 use rayon::prelude::*;
 use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
@@ -114,7 +116,7 @@ pub struct ImproveReport {
     /// Number of triangles with a radius ratio below the target after.
     pub below_target: usize,
     /// Number of frozen vertices: those inside an interface whose triangles do not form one closed
-    /// fan.
+    /// fan. 0 for an update.
     pub frozen_vertices: usize,
     /// Numbers of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
     pub nodes_on_wrong_side: Option<[usize; 2]>,
@@ -195,19 +197,28 @@ pub fn improve_sheets(
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
-    let mut surface = Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.freedom.clone(), sheets.field, size);
+    let part = options.within.map(|within| (Part::near(mesh, within), within));
+    let mut surface = match &part {
+        Some((part, within)) => part.surface(mesh, sheets, within, size),
+        None => Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.freedom.clone(), sheets.field, size),
+    };
     surface.sides = match (options.sides, &sheets.wrong_nodes) {
         (Some(image), _) => Some(NodeSides::new(mesh, image)),
         (None, Some((geometry, wrong))) => Some(NodeSides::of(geometry, wrong.iter().copied())),
         (None, None) => None,
     };
-    let wrong_before = surface.sides.as_ref().map(NodeSides::wrong_count);
-    report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
+    let count = |surface: &Surface| surface.sides.as_ref().map(NodeSides::wrong_count);
+    let wrong_before = count(&surface);
+    if let Some(region) = surface.region {
+        surface.sides = surface.sides.map(|sides| sides.within(&region));
+    } else {
+        report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
+    }
+    let wrong_inside = count(&surface);
 
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
-    if let Some(within) = options.within {
-        surface.frozen.iter_mut().zip(within).for_each(|(frozen, may_change)| *frozen |= !may_change);
+    if part.is_some() {
         surface.fill_grid();
         remesh::adjust(&mut surface, &limits, step, tally)?;
     }
@@ -221,9 +232,12 @@ pub fn improve_sheets(
         optimise::optimise(&mut surface, options.target, step, tally)?;
     }
 
-    report.nodes_on_wrong_side =
-        wrong_before.zip(surface.sides.as_ref().map(NodeSides::wrong_count)).map(|(before, after)| [before, after]);
-    (*mesh, sheets.of_triangle, sheets.numbers) = surface.into_sheets();
+    let counts = wrong_before.zip(wrong_inside).zip(count(&surface));
+    report.nodes_on_wrong_side = counts.map(|((all, inside), after)| [all, all - inside + after]);
+    (*mesh, sheets.of_triangle, sheets.numbers) = match part {
+        Some((part, _)) => part.put_back(surface, std::mem::take(mesh), std::mem::take(&mut sheets.of_triangle)),
+        None => surface.into_sheets(),
+    };
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)

@@ -51,8 +51,9 @@ impl<'a> Patch<'a> {
         vertices.sort_unstable();
         vertices.dedup();
         let mut surface = whole.part(&vertices, &triangles);
-        surface.sides = whole.sides.as_ref().map(|sides| sides.within(region));
-        surface.region = Some(*region);
+        let region = whole.region.map_or(*region, |own| own.intersection(region));
+        surface.sides = whole.sides.as_ref().map(|sides| sides.within(&region));
+        surface.region = Some(region);
         Self { surface, vertices, triangles }
     }
 

@@ -6,11 +6,9 @@ use super::acceptance::{Goal, Limits, commit_or_rollback, total_gain};
 use super::constants::{FEW_CHANGES, FLOOR, HOPELESS_AFTER_SWEEP, LONG, PASSES, ROUNDS, SHORT, TARGET};
 use super::curves::{collapse_along, split_along};
 use super::moves::{collapse, flip, relax, split};
-use super::patch::Patch;
 use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Step, Tally};
-use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 
 /// Splits and collapses edges between vertices that are not frozen until their lengths fit h. There
@@ -20,23 +18,15 @@ use isoparticles_stage::error::Result;
 /// # Errors
 /// Those of `step`.
 pub(super) fn adjust(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<()> {
-    let changeable = |t: &u32| surface.is_alive(*t) && !surface.is_frozen(*t);
-    let triangles: Vec<u32> = (0..surface.triangles.len() as u32).filter(changeable).collect();
-    let longest = triangles.iter().map(|&t| surface.facts[t as usize].lengths[1]).fold(1.0, f64::max);
-    let bounds = triangles.iter().fold(Bounds::EMPTY, |all, &t| all.merged(surface.bounds(t)));
-    // new vertices may lie outside the box of the triangles
-    let margin = 0.5 * (bounds.high - bounds.low).max_element();
-    let region = Bounds { low: bounds.low - margin, high: bounds.high + margin };
-    let mut patch = Patch::within(surface, &region);
+    let changeable: Vec<u32> = (0..surface.triangles.len() as u32).filter(|&t| !surface.is_frozen(t)).collect();
+    let longest = changeable.iter().map(|&t| surface.facts[t as usize].lengths[1]).fold(1.0, f64::max);
     for _ in 0..ROUNDS + longest.log2().ceil() as usize {
         step()?;
-        let changes = round(&mut patch.surface, limits, Curves::Change, tally);
-        if (changes as f64) < FEW_CHANGES * triangles.len() as f64 {
+        let changes = round(surface, limits, Curves::Change, tally);
+        if (changes as f64) < FEW_CHANGES * changeable.len() as f64 {
             break;
         }
     }
-    let nodes = patch.turned_nodes(surface);
-    patch.edits(surface).commit(surface, &nodes);
     Ok(())
 }
 

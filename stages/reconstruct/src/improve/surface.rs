@@ -220,22 +220,9 @@ impl<'a> Surface<'a> {
         self.into_sheets().0
     }
 
-    /// Returns the mesh without removed vertices and triangles, in the same order. Also returns the
-    /// interface of each triangle of the mesh, and the index in the mesh of each vertex of the
-    /// surface (`u32::MAX` if removed).
+    /// Returns the mesh without removed vertices and triangles ([`compacted`]).
     pub(super) fn into_sheets(self) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
-        let mut number = vec![u32::MAX; self.positions.len()];
-        let mut mesh = TriangleMesh::default();
-        for (v, &p) in self.positions.iter().enumerate() {
-            if !self.around[v].is_empty() {
-                number[v] = mesh.vertices.len() as u32;
-                mesh.vertices.push(p);
-            }
-        }
-        let alive = self.triangles.iter().filter(|t| **t != DEAD);
-        mesh.triangles = alive.map(|t| t.map(|v| number[v as usize])).collect();
-        let kept = self.triangles.iter().zip(self.sheet).filter(|(t, _)| **t != DEAD);
-        (mesh, kept.map(|(_, sheet)| sheet).collect(), number)
+        compacted(&self.positions, &self.triangles, self.sheet)
     }
 
     /// Returns the positions of the corners of a triangle.
@@ -482,6 +469,28 @@ impl<'a> Surface<'a> {
         }
         false
     }
+}
+
+/// Returns the mesh of the triangles that are not [`DEAD`] and of their vertices, in the same order.
+/// Also returns the interface of each triangle of the mesh, and the index in the mesh of each vertex
+/// (`u32::MAX` if it is not used).
+pub(super) fn compacted(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    mut sheet: Vec<u32>,
+) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
+    let alive = || triangles.iter().filter(|corners| **corners != DEAD);
+    let mut number = vec![u32::MAX; positions.len()];
+    alive().flatten().for_each(|&v| number[v as usize] = 0);
+    let mut mesh = TriangleMesh::default();
+    for (number, &p) in number.iter_mut().zip(positions).filter(|(number, _)| **number == 0) {
+        *number = mesh.vertices.len() as u32;
+        mesh.vertices.push(p);
+    }
+    mesh.triangles = alive().map(|corners| corners.map(|v| number[v as usize])).collect();
+    let mut is_alive = triangles.iter().map(|corners| *corners != DEAD);
+    sheet.retain(|_| is_alive.next() == Some(true));
+    (mesh, sheet, number)
 }
 
 /// Returns the distance from `p` to a triangle.
