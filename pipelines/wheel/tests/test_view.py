@@ -197,12 +197,12 @@ def test_slices_and_world_agree(mesh: Any) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt")
 def test_stages_log_their_lines_and_can_be_stopped() -> None:
     run = importlib.import_module("isoparticles.viewer.run")
-    script = "import sys, time; print('particles 40 %', file=sys.stderr, flush=True); time.sleep(60)"
+    script = "import sys, time; print('settle: 40 % 5 s\\n  nodes (9 %)', file=sys.stderr, flush=True); time.sleep(60)"
     job = run.StagesJob([sys.executable, "-c", script])
     job.run()
-    while not job.log:
+    while len(job.log) < 2:
         time.sleep(0.02)
-    assert (job.text, job.share, job.is_running) == ("particles 40 %", 0.4, True)
+    assert (job.text, job.share, job.is_running) == ("settle: 40 % 5 s", 0.4, True)
     job.stop()
     job.wait()
     assert job.was_stopped
@@ -211,6 +211,15 @@ def test_stages_log_their_lines_and_can_be_stopped() -> None:
 
 
 # --- The server -----------------------------------------------------------------------------------
+@pytest.mark.usefixtures("iso")
+def test_the_error_of_a_stage_is_that_of_the_job() -> None:
+    run = importlib.import_module("isoparticles.viewer.run")
+    error = "error: a.nrrd: no voxel\n  why it matters: nothing to mesh\n  what to do: set ISO"
+    job = run.StagesJob([sys.executable, "-c", f"import sys; print({error!r}); sys.exit(2)"])
+    job.run().wait()
+    assert (job.error.what, job.error.why, job.error.next) == ("a.nrrd: no voxel", "nothing to mesh", "set ISO")
+
+
 
 
 @contextlib.contextmanager

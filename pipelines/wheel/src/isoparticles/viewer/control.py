@@ -318,9 +318,10 @@ class Control(Views):
         self.state.busy = False
         if job.error is not None:
             self.show_error(job.error)
+            self.state.job_text = "Ended with an error."
             return
         if job.was_stopped:
-            self.state.job_text = "Stopped. The mesh has not changed."
+            self.state.job_text = job.STOPPED
             return
         try:
             self._then()

@@ -16,12 +16,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from isoparticles._errors import Error
-from isoparticles._programs import case_arguments, program
+from isoparticles._programs import BIN, case_arguments, program
 
 LINES = 400
 """Lines of the log that are kept for the page."""
-SHARE = re.compile(r"(\d{1,3}) ?%")
-"""The completed share in a line of the log, in percent."""
+STAGE = re.compile(rf"'?{re.escape(str(BIN) + os.sep)}(\w+)")
+"""The name of a stage in its command line, which the log quotes if the path contains a space."""
+SHARE = re.compile(r"[^:]+: (\d{1,3}) % ")
+"""The completed share in a line of progress, in percent. Tables contain other percentages."""
+ERROR = re.compile(r"error: (.+)\n  why it matters: (.+)\n  what to do: (.+)")
+"""The parts of an error in the log."""
 
 
 class StoppedError(Exception):
@@ -30,6 +34,9 @@ class StoppedError(Exception):
 
 class Job:
     """Work in a thread. The page polls its state."""
+
+    STOPPED = "Stopped. The mesh has not changed."
+    """What the page says after a stop."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -98,6 +105,8 @@ class Job:
 class StagesJob(Job):
     """A run of ``isoparticles-case``. Stopping it interrupts the stage; the next run resumes it."""
 
+    STOPPED = "Stopped. The next run with these settings resumes."
+
     def __init__(self, command: Sequence[str]) -> None:
         super().__init__("stages")
         self.command = list(command)
@@ -122,14 +131,18 @@ class StagesJob(Job):
                 self._read(line.rstrip())
         self.code = process.returncode
         if self.code not in (0, 1) and not self.was_stopped:
-            raise Error("the stages ended with an error", "there is no surface", "see the log for the reason")
+            found = ERROR.findall("\n".join(self.log))
+            parts = ("the stages ended with an error", "there is no surface", "see the log for the reason")
+            raise Error(*(found[-1] if found else parts))
 
     def _read(self, line: str) -> None:
         if line:
             self.log.append(line)
-            self.text = line
-            found = SHARE.search(line)
-            self.share = int(found[1]) / 100.0 if found and int(found[1]) <= 100 else None
+        # the rows of tables are indented
+        if line and not line.startswith(" "):
+            stage, share = STAGE.match(line), SHARE.match(line)
+            self.text = stage[1] if stage else line
+            self.share = int(share[1]) / 100.0 if share else None
 
     def stop(self) -> None:
         """Interrupt the program as Ctrl-C does."""
