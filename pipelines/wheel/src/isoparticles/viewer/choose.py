@@ -12,6 +12,7 @@ import numpy as np
 import pyvista as pv
 
 import isoparticles.viewer.case as cases
+from isoparticles._errors import Error
 from isoparticles.viewer.control import Control
 from isoparticles.viewer.run import StagesJob, info_command, stages_command
 from isoparticles.viewer.scene import PLAIN
@@ -22,6 +23,9 @@ PREVIEW = 80
 """Maximum number of voxels of the preview along an axis. Extracting its surface takes 0.05 s."""
 SETTLED = 0.3
 """Seconds without a change after which the cost is predicted."""
+VERTEX_BYTES = 1034.0
+"""Memory of the triangles for each vertex; see ``RATES`` in common/survey/src/cost.rs. The other
+stages before the tetrahedra need less."""
 
 
 class Choice:
@@ -35,8 +39,8 @@ class Choice:
         self._asked = 0
         self._info: dict[str, Any] | None = None
         self.state.update({
-            "labels": [], "labels_chosen": [], "as_materials": False, "iso": 0.0, "inside": "above", "vertices_log": 4.3,
-            "vertices": 20_000, "is_default_size": True,
+            "labels": [], "labels_chosen": [], "as_materials": False, "iso": 0.0, "inside": "above",
+            "vertices_log": 4.3, "vertices": 20_000, "is_default_size": True,
             "prediction": {"vertices": "", "seconds": "", "memory": "", "note": ""},
         })  # fmt: skip
         if scan is None or control.shown.mesh is not None:
@@ -63,12 +67,22 @@ class Choice:
 
     @property
     def settings(self) -> dict[str, str]:
-        """The settings of the case that the panel describes."""
+        """The settings of the case that the panel describes.
+
+        Raises
+        ------
+        Error
+            If no label is ticked, or if the iso value is not a number.
+        """
         state, found = self.state, {"INPUT": str(self.control.shown.volume), "NAME": self.control.shown.name}
         if state.is_scan:
-            found |= {"ISO": f"{float(state.iso):g}", "INSIDE": str(state.inside)}
+            if not isinstance(state.iso, (int, float)):
+                raise Error("The iso value is not a number", "it separates the object from the rest", "give a number")
+            found |= {"ISO": f"{state.iso:g}", "INSIDE": str(state.inside)}
         else:
             labels = sorted(int(label) for label in state.labels_chosen)
+            if not labels:
+                raise Error("No label is ticked", "the surface encloses the ticked labels", "tick a label")
             key = "MATERIALS" if state.as_materials and len(labels) > 1 else "LABELS"
             # a name must not contain the separators of MATERIALS
             names = {one["label"]: re.sub(r"[^\w-]+", "_", one["name"]) for one in state.labels}
@@ -89,19 +103,17 @@ class Choice:
         if self._coarse is None or self.state.has_mesh:
             return
         scene, scan = self.control.scene, self._coarse
-        try:
-            iso = float(self.state.iso)
-        except (TypeError, ValueError):
-            return
         if scan.labels:
             entries = {label: entry for entry in self.control.shown.key for label in entry.labels}
             chosen = [int(label) for label in self.state.labels_chosen]
             shown = [(outline_of(scan, scan.values == label, 0.5), entries[label].colour) for label in chosen]
             scene.show_preview([(surface, tuple(colour)) for surface, colour in shown])
             whole = outline_of(scan, np.isin(scan.values, chosen), 0.5)
-        else:
-            whole = outline_of(scan, scan.values, iso)
+        elif isinstance(self.state.iso, (int, float)):
+            whole = outline_of(scan, scan.values, float(self.state.iso))
             scene.show_preview([(whole, PLAIN)])
+        else:
+            return
         if self.control.slices is not None:
             self.control.slices.show_surface(whole if whole.n_cells else None)
         self.control.draw_slices(images=False)
@@ -112,17 +124,14 @@ class Choice:
         await asyncio.sleep(SETTLED)
         if asked != self._asked:
             return
-        command = info_command(self.settings)
-        done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, check=False)
+        try:
+            info, note = await asyncio.to_thread(predicted, self.settings)
+        except Error as error:
+            info, note = None, f"{error.what}."
         if asked != self._asked:
             return
         with self.state:
-            try:
-                self._info = json.loads(done.stdout)["objects"][0]["cost"]
-                note = "" if self._info else "The object contains no voxel."
-            except (ValueError, KeyError, IndexError):
-                self._info = None
-                note = (done.stderr.strip().splitlines() or ["The cost cannot be predicted."])[0]
+            self._info = info
             self.state.prediction = {**self.state.prediction, "note": note}
             self.show_prediction()
 
@@ -132,10 +141,11 @@ class Choice:
         if cost is not None and state.is_default_size:
             state.vertices_log = float(np.log10(max(cost["vertices"], 500)))
         state.vertices = int(float(f"{10 ** float(state.vertices_log):.2g}"))
-        found = {"vertices": f"about {int(state.vertices):,}", "seconds": "", "memory": ""}
+        found = {"vertices": "", "seconds": "", "memory": ""}
         if cost is not None:
             seconds, size = scaled(cost, int(state.vertices))
-            found |= {"seconds": f"about {duration(seconds)}", "memory": f"about {memory(size)}"}
+            texts = (f"{int(state.vertices):,}", duration(seconds), memory(size))
+            found = {key: f"about {text}" for key, text in zip(found, texts, strict=True)}
         state.prediction = {**state.prediction, **found}
 
     def make(self) -> None:
@@ -154,6 +164,16 @@ class Choice:
         control.shown = cases.open_results(status)
         control.open()
         control.look_at_all()
+
+
+def predicted(settings: dict[str, str]) -> tuple[dict[str, Any] | None, str]:
+    """Return the cost of the surface for the default sizes, or None and the reason."""
+    done = subprocess.run(info_command(settings), capture_output=True, text=True, check=False)
+    try:
+        cost = json.loads(done.stdout)["objects"][0]["cost"]
+    except (ValueError, KeyError, IndexError):
+        return None, (done.stderr.strip().splitlines() or ["The cost cannot be predicted."])[0]
+    return cost, "" if cost else "The object contains no voxel."
 
 
 def coarsened(scan: Scan) -> Scan:
@@ -179,10 +199,11 @@ def scaled(cost: dict[str, Any], vertices: int) -> tuple[float, float]:
     """Return processor time and memory of the surface for a number of vertices.
 
     ``info`` predicts the cost for the default sizes. The time of the stages after the fields is
-    scaled by the number of vertices. The memory is scaled for more vertices only, and is therefore
-    an upper estimate for fewer.
+    scaled by the number of vertices. Each further vertex adds ``VERTEX_BYTES`` to the memory, which
+    is an upper estimate for fewer vertices.
     """
     share = vertices / max(cost["vertices"], 1)
     stages = {stage["stage"]: stage for stage in cost["stages"] if stage["stage"] != "tetrahedra"}
     seconds = sum(stage["seconds"] * (1.0 if name == "fields" else share) for name, stage in stages.items())
-    return seconds, max(stage["bytes"] for stage in stages.values()) * max(share, 1.0)
+    further = max(vertices - cost["vertices"], 0)
+    return seconds, max(stage["bytes"] for stage in stages.values()) + VERTEX_BYTES * further
