@@ -109,6 +109,10 @@ class Browser:
             button = {"button": "left", "clickCount": 1} if kind != "mouseMoved" else {}
             self.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **button)
 
+    def set(self, selector: str, value: float) -> None:
+        """Set the value of an input, as a slider does."""
+        self.evaluate(f"(e => {{ e.value = {value}; e.dispatchEvent(new Event('input')) }})({selector})")
+
     def press(self, key: str) -> None:
         """Press a key in the focused element."""
         for kind in ("keyDown", "keyUp"):

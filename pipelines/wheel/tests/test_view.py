@@ -8,6 +8,7 @@ import importlib.util
 import json
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -210,7 +211,6 @@ def test_stages_log_their_lines_and_can_be_stopped() -> None:
     assert job.code == -signal.SIGINT
 
 
-# --- The server -----------------------------------------------------------------------------------
 @pytest.mark.usefixtures("iso")
 def test_the_error_of_a_stage_is_that_of_the_job() -> None:
     run = importlib.import_module("isoparticles.viewer.run")
@@ -220,6 +220,7 @@ def test_the_error_of_a_stage_is_that_of_the_job() -> None:
     assert (job.error.what, job.error.why, job.error.next) == ("a.nrrd: no voxel", "nothing to mesh", "set ISO")
 
 
+# --- The server -----------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -389,7 +390,7 @@ def test_a_browser_refines_undoes_and_saves(
         browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
         browser.open(address)
         browser.wait(
-            "document.querySelector('.axial image') && document.querySelector('.axial .outline').getAttribute('d')"
+            "document.querySelector('.axial image') && document.querySelector('.axial .outline')?.getAttribute('d')"
         )
         first = count(browser)
         browser.click("document.querySelectorAll('.tools label')[1]")
@@ -429,6 +430,93 @@ def test_a_browser_refines_undoes_and_saves(
 UNNAMED = """[...document.querySelectorAll('button, input, select, textarea, [tabindex]')].filter(e =>
   !(e.textContent.trim() || e.getAttribute('aria-label') || (e.labels && [...e.labels].some(l => l.textContent.trim())))
 ).filter(e => !e.closest('.view')).map(e => e.outerHTML.slice(0, 200))"""
+
+
+VERTICES = "[...document.querySelectorAll('.row')].find(e => e.textContent.includes('Vertices')).children[1]"
+
+
+def prediction(browser: Any) -> list[str]:
+    return browser.evaluate("[...document.querySelectorAll('.prediction td:nth-child(2)')].map(e => e.textContent)")
+
+
+@pytest.mark.timeout(300)
+def test_a_browser_makes_the_surface_of_a_label(iso: ModuleType, site: Path, tmp_path: Path, browser: Any) -> None:
+    import pyvista
+
+    button = importlib.import_module("devtools").button
+    image = pyvista.ImageData(dimensions=(24, 24, 24))
+    image.point_data["labels"] = np.where(np.mgrid[:24, :24, :24][0] < 2, 2, labels()).flatten(order="F")
+    image.save(tmp_path / "two.vti")
+    with serving(site, tmp_path, "two.vti") as (address, _):
+        browser.open(address)
+        browser.wait(f"{PREDICTION}?.textContent.includes('MiB')")
+        both = prediction(browser)
+        browser.click("document.querySelectorAll('.labels input')[1]")
+        browser.click("[...document.querySelectorAll('.check')].find(e => e.textContent.includes('Derive'))")
+        browser.wait(f"!{VERTICES}.disabled")
+        browser.set(VERTICES, 5.3)
+        browser.wait(f"{PREDICTION}.textContent.includes('200,000')")
+        # the memory without the tetrahedra is about 1 kB for each vertex
+        found = prediction(browser)
+        assert re.fullmatch(r"about 2\d\d MiB", found[2]), found
+        assert found[1].startswith("about ")
+        assert browser.evaluate(UNNAMED) == []
+        browser.click(button("Make the surface"))
+        browser.wait("document.querySelector('.job')?.textContent.startsWith('particles')", 60)
+        browser.wait("document.querySelector('progress')")
+        browser.click(button("Stop"))
+        browser.wait("document.querySelector('.job').textContent.startsWith('Stopped.')")
+        browser.set(VERTICES, 2.7)
+        browser.wait(f"{PREDICTION}.textContent.includes('about 500')")
+        browser.click(button("Make the surface"))
+        browser.wait("document.querySelector('.counts').textContent", 60)
+        assert "two: passed" in browser.evaluate("document.querySelector('pre').textContent")
+        assert 450 < count(browser) < 550
+        browser.click(button("Place ball at"))
+        browser.wait("document.querySelectorAll('.requests li').length === 1")
+        browser.click(button("Apply"))
+        browser.wait("document.querySelector('.applied li')", 60)
+        browser.click(button("Save"))
+        browser.wait("document.querySelector('.command textarea')")
+        command = shlex.split(browser.evaluate("document.querySelector('.command textarea').value"))
+        assert browser.evaluate("document.querySelector('.problem')") is None
+        assert [line for line in browser.console if not line.startswith(LIBRARY)] == []
+    saved = iso.Mesh.open(tmp_path / "out" / "two")
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, env=environment, check=True, capture_output=True)
+PREDICTION = "document.querySelector('.prediction')"
+    again = iso.Mesh.open(tmp_path / "out" / "two")
+    np.testing.assert_array_equal(again.result.vertices, saved.result.vertices)
+
+
+@pytest.mark.timeout(300)
+def test_a_browser_previews_an_iso_value(site: Path, tmp_path: Path, browser: Any) -> None:
+    import pyvista
+
+    x, y, z = np.mgrid[:24, :24, :24] - 11.5
+    image = pyvista.ImageData(dimensions=(24, 24, 24))
+    image.point_data["grey"] = (10.0 - np.sqrt(x**2 + y**2 + z**2)).flatten(order="F")
+    image.save(tmp_path / "grey.vti")
+    iso_value = "document.querySelector('[aria-label=\"Iso value\"]')"
+    outline = "document.querySelector('.axial .outline')?.getAttribute('d')"
+    with serving(site, tmp_path, "grey.vti") as (address, _):
+        browser.open(address)
+        browser.wait(outline)
+        browser.wait(f"{PREDICTION}.textContent.includes('MiB')")
+        first, wider = browser.evaluate(outline), prediction(browser)
+        browser.wait(f"!{PREDICTION}.textContent.includes({both[0]!r})")
+        browser.set(iso_value, 5)
+        browser.wait(f"{outline} !== {first!r}")
+        browser.wait(f"!{PREDICTION}.textContent.includes({wider[0]!r})")
+        browser.set(iso_value, "''")
+        browser.wait("document.querySelector('.hint') && document.body.textContent.includes('not a number')")
+        assert prediction(browser) == ["", "", ""]
+        browser.set(iso_value, 90)
+        browser.wait(f"!{outline}")
+        browser.click(importlib.import_module("devtools").button("Make the surface"))
+        browser.wait("document.querySelector('.problem')", 60)
+        assert "no voxel crosses iso value 90" in browser.evaluate("document.querySelector('.problem').textContent")
+        assert [line for line in browser.console if not line.startswith(LIBRARY)] == []
 
 
 @pytest.mark.timeout(300)
