@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -361,6 +361,57 @@ def test_a_notebook_serves_the_page_in_its_loop(mesh: Any) -> None:
     assert asyncio.run(ask()) == 200
 
 
+def test_a_notebook_shows_a_folder_on_one_page(
+    iso: ModuleType, mesh: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import asyncio
+
+    import aiohttp
+
+    frame = SimpleNamespace(IFrame=lambda address, **_: SimpleNamespace(address=address))
+    monkeypatch.setitem(sys.modules, "IPython.display", frame)
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+
+    async def statuses() -> list[int | None]:
+        found: list[int | None] = []
+        pages = []
+        for folder in (tmp_path, tmp_path, None):
+            pages.append(iso.view(mesh, folder=folder).page)
+            await pages[-1].server.ready
+        async with aiohttp.ClientSession() as client:
+            for page in pages:
+                try:
+                    async with client.get(page.address) as answer:
+                        found.append(answer.status)
+                except aiohttp.ClientConnectionError:
+                    found.append(None)
+        pages[1].close()
+        return found
+
+    assert asyncio.run(statuses()) == [None, 200, 200]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="reads the mode of a file")
+def test_a_second_server_is_refused(site: Path, case_folder: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    second = [sys.executable, "-m", "isoparticles", "view", "out/ball"]
+    with serving(site, case_folder, "ball") as (address, process):
+        done = subprocess.run(second, cwd=case_folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: out/ball: process {process.pid} on "), done.stderr
+    assert "\n  why it matters: " in done.stderr
+    assert f"\n  what to do: open {address} " in done.stderr
+    # the address contains the token
+    assert (case_folder / "out" / "ball" / ".view.lock").stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.usefixtures("iso")
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the administrator may write everywhere")
+def test_a_read_only_folder_needs_no_lock(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    assert importlib.import_module("isoparticles.viewer.lock").take(tmp_path, "address") is None
+
+
 # --- The page in a browser ------------------------------------------------------------------------
 
 
@@ -432,6 +483,7 @@ UNNAMED = """[...document.querySelectorAll('button, input, select, textarea, [ta
 ).filter(e => !e.closest('.view')).map(e => e.outerHTML.slice(0, 200))"""
 
 
+PREDICTION = "document.querySelector('.prediction')"
 VERTICES = "[...document.querySelectorAll('.row')].find(e => e.textContent.includes('Vertices')).children[1]"
 
 
@@ -452,6 +504,7 @@ def test_a_browser_makes_the_surface_of_a_label(iso: ModuleType, site: Path, tmp
         browser.wait(f"{PREDICTION}?.textContent.includes('MiB')")
         both = prediction(browser)
         browser.click("document.querySelectorAll('.labels input')[1]")
+        browser.wait(f"!{PREDICTION}.textContent.includes({both[0]!r})")
         browser.click("[...document.querySelectorAll('.check')].find(e => e.textContent.includes('Derive'))")
         browser.wait(f"!{VERTICES}.disabled")
         browser.set(VERTICES, 5.3)
@@ -484,7 +537,6 @@ def test_a_browser_makes_the_surface_of_a_label(iso: ModuleType, site: Path, tmp
     saved = iso.Mesh.open(tmp_path / "out" / "two")
     environment = {**os.environ, "PYTHONPATH": str(site)}
     subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, env=environment, check=True, capture_output=True)
-PREDICTION = "document.querySelector('.prediction')"
     again = iso.Mesh.open(tmp_path / "out" / "two")
     np.testing.assert_array_equal(again.result.vertices, saved.result.vertices)
 
@@ -504,7 +556,6 @@ def test_a_browser_previews_an_iso_value(site: Path, tmp_path: Path, browser: An
         browser.wait(outline)
         browser.wait(f"{PREDICTION}.textContent.includes('MiB')")
         first, wider = browser.evaluate(outline), prediction(browser)
-        browser.wait(f"!{PREDICTION}.textContent.includes({both[0]!r})")
         browser.set(iso_value, 5)
         browser.wait(f"{outline} !== {first!r}")
         browser.wait(f"!{PREDICTION}.textContent.includes({wider[0]!r})")
@@ -536,3 +587,26 @@ def test_a_closed_tab_does_not_stop_an_update(site: Path, case_folder: Path, tmp
             two.open(address)
             two.wait("document.querySelector('.applied li')", 120)
             assert two.evaluate("document.querySelectorAll('.requests li').length") == 0
+
+
+@pytest.mark.timeout(300)
+def test_a_killed_server_leaves_no_lock(site: Path, case_folder: Path, browser: Any) -> None:
+    button = importlib.import_module("devtools").button
+    (case_folder / "out" / "ball" / "ball.view.json").unlink(missing_ok=True)
+    with serving(site, case_folder, "ball") as (address, process):
+        browser.open(address)
+        browser.wait("document.querySelector('.axial image')")
+        browser.click(button("Place ball at"))
+        browser.wait("document.querySelectorAll('.requests li').length === 1")
+        browser.click(button("Apply"))
+        browser.wait("document.querySelector('.applied li')", 60)
+        refined = count(browser)
+        browser.click(button("Place ball at"))
+        browser.wait("document.querySelectorAll('.requests li').length === 1")
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        with serving(site, case_folder, "ball") as (again, _):
+            browser.open(again)
+            browser.wait("document.querySelector('.applied li')", 60)
+            browser.wait("document.querySelectorAll('.requests li').length === 1")
+            assert count(browser) == refined

@@ -1,10 +1,11 @@
 """``isoparticles view CASE`` and :func:`isoparticles.view`: look at a mesh, and refine it there.
 
-The modules: ``case`` opens cases and volumes; ``session`` keeps the meshes and their updates, and
-``journal`` writes the list of updates to disk; ``slices`` and ``scene`` draw the views; ``places``
-lists failed checks, poor triangles and other places to inspect; ``paint`` marks regions; ``run``
-runs updates and stages in the background. ``views``, ``control``, ``choose`` and ``page`` connect
-these modules with the browser, and ``server`` serves the page.
+The modules: ``case`` opens cases and volumes; ``session`` keeps the meshes and their updates,
+``journal`` writes the list of updates to disk, and ``lock`` allows one page for a folder;
+``slices`` and ``scene`` draw the views; ``places`` lists failed checks, poor triangles and other
+places to inspect; ``paint`` marks regions; ``run`` runs updates and stages in the background.
+``views``, ``control``, ``choose`` and ``page`` connect these modules with the browser, and
+``server`` serves the page.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ CASE is the name of a case in --out, the folder of a case, or a volume. The prog
 address of the page. Only this computer can open it. Over SSH, forward the port:
   ssh -L 8765:127.0.0.1:8765 HOST isoparticles view CASE --port 8765
 """
+
+
+_pages: dict[Path, Any] = {}
+"""The pages in this notebook by the folders that they lock."""
 
 
 def expect_trame() -> None:
@@ -70,14 +75,15 @@ def view(
     -------
     object
         In a notebook, an IFrame, whose attribute ``page.control.session.mesh`` is the present mesh.
+        It ends an earlier page of the same folder in the notebook.
         Elsewhere, the page itself, with the attribute ``control.session.mesh``; the function then
         returns after Ctrl-C.
 
     Raises
     ------
     Error
-        If the packages of the extra ``view`` are missing, if there is no such case, or if the port
-        is in use.
+        If the packages of the extra ``view`` are missing, if there is no such case, if the port is
+        in use, or if another process shows the case.
     """
     expect_trame()
     import isoparticles.viewer.case as cases
@@ -89,12 +95,17 @@ def view(
         shown = cases.open_case(os.fsdecode(mesh), Path("out"))
     else:
         shown = cases.of_mesh(mesh, image, None if folder is None else Path(folder))
+    place = None if shown.folder is None else shown.folder.resolve()
+    if place in _pages:
+        _pages.pop(place).close()
     page = Page(shown, port)
     if "ipykernel" not in sys.modules:
         print(f"isoparticles: {page.address}", flush=True)
         page.start("main")
         return page
     page.start("task")
+    if place is not None:
+        _pages[place] = page
     frame: Any = import_module("IPython.display").IFrame(page.address, width="100%", height=height)
     frame.page = page
     return frame

@@ -152,6 +152,7 @@ class Choice:
         """Run the stages."""
         control = self.control
         control._expect_idle()
+        control.lock()
         job = StagesJob(stages_command(self.settings, control.shown.out))
         control.begin(job, self._made)
         job.run()

@@ -29,8 +29,8 @@ KEYS = {"ArrowLeft": (0, -1), "ArrowRight": (0, 1), "ArrowUp": (1, -1), "ArrowDo
 class Control(Views):
     """The page with its handlers."""
 
-    def __init__(self, server: Any, shown: cases.Shown) -> None:
-        super().__init__(server, shown)
+    def __init__(self, server: Any, shown: cases.Shown, address: str) -> None:
+        super().__init__(server, shown, address)
         self._then: Callable[[], None] = lambda: None
         self._pressed: tuple[float, float] | None = None
         self._connect()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +37,10 @@ class Page:
     def __init__(self, shown: cases.Shown, port: int = 0, token: str | None = None) -> None:
         self.server: Any = get_server(f"isoparticles-{id(self)}", client_type="vue3")
         self.web = PageServer(self.server, port, token)
-        self.control = Control(self.server, shown)
+        self.control = Control(self.server, shown, self.address)
         self.choice = Choice(self.control)
         self.task: Any = None
+        self._tasks: list[asyncio.Task[None]] = []
         self._lay_out()
         self.server.controller.on_server_ready.add(self._ready)
 
@@ -91,10 +93,7 @@ class Page:
         return local, remote
 
     def _ready(self, **_: Any) -> None:
-        from asyncio import get_running_loop
-
-        loop = get_running_loop()
-        self._watch = [loop.create_task(self.control.watch())]
+        self._tasks = [asyncio.get_running_loop().create_task(self.control.watch())]
         if self.control.shown.mesh is None and self.control.shown.volume is not None:
             self.choice.changed()
         self.control.resume()
@@ -102,4 +101,13 @@ class Page:
     def start(self, exec_mode: str = "main") -> Any:
         """Serve the page until the program is stopped (``main``), or in a task (``task``)."""
         self.task = self.web.start(exec_mode)
+        if exec_mode == "main":
+            self.control.close()
         return self.task
+
+    def close(self) -> None:
+        """End the page of a notebook: stop its run, and release its folder."""
+        self.control.close()
+        for task in self._tasks:
+            task.cancel()
+        self._tasks = [asyncio.get_running_loop().create_task(self.server.stop())]

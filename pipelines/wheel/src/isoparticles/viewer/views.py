@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import isoparticles.viewer.case as cases
+import isoparticles.viewer.lock as locks
 import isoparticles.viewer.places as found_places
 from isoparticles._errors import Error
 from isoparticles.viewer.paint import Paint
@@ -21,9 +23,11 @@ from isoparticles.viewer.slices import PLANES, Slices
 class Views:
     """The state of the page, and the objects that it shows."""
 
-    def __init__(self, server: Any, shown: cases.Shown) -> None:
+    def __init__(self, server: Any, shown: cases.Shown, address: str) -> None:
         self.server, self.state = server, server.state
         self.shown = shown
+        self.address = address
+        self._lock: int | None = None
         self.session: Session | None = None
         self.scene = Scene()
         self.slices: Slices | None = None
@@ -58,6 +62,7 @@ class Views:
         shown = self.shown
         self.state.note = " ".join(shown.notes)
         if shown.mesh is not None:
+            self.lock()
             resize = "" if shown.case is None else shown.case.parameters.get("RESIZE", "")
             self.session = Session(shown.mesh, shown.folder, resize)
             self.state.note = f"{self.state.note} {self.session.note}".strip()
@@ -69,6 +74,26 @@ class Views:
             self.scene.shades = shades_of_materials(shown.key, len(shown.mesh.field.materials)) if shown.mesh else None
             self.show_mesh()
         self.move_to(cases.centre_of(shown))
+
+    def lock(self) -> None:
+        """Lock the folder of the case for this page.
+
+        Raises
+        ------
+        Error
+            If another page has locked it.
+        """
+        if self._lock is None and self.shown.folder is not None:
+            self._lock = locks.take(self.shown.folder, self.address)
+
+    def close(self) -> None:
+        """Stop the job, and release the folder."""
+        if self.job is not None:
+            self.job.stop()
+            self.job.wait()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _open_scan(self) -> None:
         shown = self.shown
