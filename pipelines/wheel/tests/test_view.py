@@ -600,6 +600,14 @@ def test_a_killed_server_leaves_no_lock(site: Path, case_folder: Path, browser: 
         browser.wait("document.querySelectorAll('.requests li').length === 1")
         browser.click(button("Apply"))
         browser.wait("document.querySelector('.applied li')", 60)
+        browser.click(button("Save"))
+        browser.wait("document.querySelector('.command')")
+        saved = count(browser)
+        browser.click("document.querySelectorAll('.tools label')[1]")
+        browser.click("document.querySelector('.axial .slice')", 0.65, 0.5)
+        browser.wait("document.querySelectorAll('.requests li').length === 1")
+        browser.click(button("Apply"))
+        browser.wait("document.querySelectorAll('.applied li').length === 2", 60)
         refined = count(browser)
         browser.click(button("Place ball at"))
         browser.wait("document.querySelectorAll('.requests li').length === 1")
@@ -607,6 +615,11 @@ def test_a_killed_server_leaves_no_lock(site: Path, case_folder: Path, browser: 
         process.wait()
         with serving(site, case_folder, "ball") as (again, _):
             browser.open(again)
-            browser.wait("document.querySelector('.applied li')", 60)
+            browser.wait("document.querySelectorAll('.applied li').length === 2", 60)
             browser.wait("document.querySelectorAll('.requests li').length === 1")
-            assert count(browser) == refined
+            assert count(browser) == refined > saved
+            browser.click(button("Undo"))
+            browser.wait("document.querySelectorAll('.requests li').length === 2")
+            assert count(browser) == saved
+            # the first update is part of the file
+            browser.wait(f"{button('Undo')}.disabled && {button('Undo')}.title.includes('part of the opened surface')")

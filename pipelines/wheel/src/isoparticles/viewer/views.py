@@ -46,6 +46,7 @@ class Views:
             "is_scan": False, "counts": "", "note": "", "problem": None, "busy": False, "job_text": "",
             "job_share": None, "job_log": "", "job_seconds": "", "tool": "look", "radius": 1.0, "radius_max": 1.0,
             "h": 1.0, "h_here": "", "brush": 1.0, "chosen": -1, "requests": [], "applied": [], "can_undo": False,
+            "is_fixed": False,
             "width": 1.0, "level": 0.0, "levels": [0.0, 1.0], "colour": "plain", "colours": [], "edges": True,
             "legend": {}, "clip": False, "clip_axis": 0, "clip_place": 0.0, "clip_low": 0.0, "clip_high": 1.0,
             "clip_upper": True, "places": [], "place_kind": "", "place_kinds": [], "key": [], "command": "",
@@ -248,6 +249,7 @@ class Views:
         self.state.requests = [{"i": i, "text": told(request)} for i, request in enumerate(requests)]
         self.state.applied = [", ".join(group) for group in self.session.journal.applied]
         self.state.can_undo = self.session.can_undo
+        self.state.is_fixed = bool(self.session.journal.applied) and not self.session.can_undo
         self.state.saved = self.session.journal.applied == self.session.journal.saved
         if not self.state.saved:
             self.state.command = ""
