@@ -159,7 +159,7 @@ def test_a_painted_region_is_a_mask(session: Any, tmp_path: Path) -> None:
 
 def test_places_have_positions_near_the_mesh(mesh: Any) -> None:
     module = importlib.import_module("isoparticles.viewer.places")
-    found = module.places(mesh, None, None)
+    found = module.places_to_inspect(mesh, None, None)
     assert [place.kind for place in found] == ["worst triangle"]
     assert np.linalg.norm(np.array(found[0].position) - 11.5) == pytest.approx(7.0, abs=0.5)
     report = {"changes": {"events": [{"kind": "gone", "volume": 2.0, "place": [1, 2, 3]}]}, "missing": [[4, 5, 6]]}

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import pyvista
 
 
-UPDATES = "updates"
-"""Subfolder, in the folder of a mesh, for its size field after updates."""
+def updated_size(folder: Path, name: str) -> Path:
+    """Return the path of the size field after updates. The case runner uses the same path."""
+    return folder / "updates" / f"{name}.{ENDINGS['sizefield']}"
 
 
 class Mesh:
@@ -88,7 +89,7 @@ class Mesh:
                 raise Error(f"{path}: {result.kind}", f"{stage} writes another kind", "run the case again")
             results.append(result)
         field, size, seeds, particles, surface = results
-        updated = folder / UPDATES / f"{name}.{ENDINGS['sizefield']}"
+        updated = updated_size(folder, name)
         last: Any = load(updated) if updated.exists() else size
         return cls(name, field, last, seeds, particles, surface, {}, None if last is size else size)
 
@@ -188,7 +189,7 @@ class Mesh:
         name = self.name if name is None else name
         paths: dict[Path, DistanceField | SizeField | Particles | Surface]
         paths = {Path(folder) / f"{name}.{ENDINGS[stage]}": result for stage, result in self.stages.items()}
-        updated = Path(folder) / UPDATES / f"{name}.{ENDINGS['sizefield']}"
+        updated = updated_size(Path(folder), name)
         if self._first_size is not None:
             paths |= {Path(folder) / f"{name}.{ENDINGS['sizefield']}": self._first_size, updated: self.size}
         offending = Path(folder) / f"{name}.surface.offending.vtp"

@@ -141,12 +141,12 @@ def run_sizefield(
     files, inputs = [field.name], [field._data]
     if update is not None:
         expect(SizeField, update=update)
-        files += ["--update", previous(update)]
+        files += ["--update", update_input_path(update)]
         inputs.append(update._data)
     return _run(SizeField, _native.size_field, files, tuple(inputs), name, words, progress)
 
 
-def previous(result: SizeField | Surface) -> str:
+def update_input_path(result: SizeField | Surface) -> str:
     """Return a path for an input of an update, which may have the same name as the new result."""
     return f"previous/{result.name}"
 
@@ -254,7 +254,7 @@ def run_reconstruct(
 ) -> Surface:
     if isinstance(particles, Surface):
         expect(SizeField, size=size)
-        files = ["--update", previous(particles)]
+        files = ["--update", update_input_path(particles)]
     else:
         expect(Particles, particles=particles)
         files = [particles.name]

@@ -106,11 +106,11 @@ class Choice:
         if scan.labels:
             entries = {label: entry for entry in self.control.shown.key for label in entry.labels}
             chosen = [int(label) for label in self.state.labels_chosen]
-            shown = [(outline_of(scan, scan.values == label, 0.5), entries[label].colour) for label in chosen]
+            shown = [(isosurface(scan, scan.values == label, 0.5), entries[label].colour) for label in chosen]
             scene.show_preview([(surface, tuple(colour)) for surface, colour in shown])
-            whole = outline_of(scan, np.isin(scan.values, chosen), 0.5)
+            whole = isosurface(scan, np.isin(scan.values, chosen), 0.5)
         elif isinstance(self.state.iso, (int, float)):
-            whole = outline_of(scan, scan.values, float(self.state.iso))
+            whole = isosurface(scan, scan.values, float(self.state.iso))
             scene.show_preview([(whole, PLAIN)])
         else:
             return
@@ -184,8 +184,8 @@ def coarsened(scan: Scan) -> Scan:
     return Scan(values, scan.step * stride, scan.origin, scan.anatomical, scan.names, 1, scan.labels)
 
 
-def outline_of(scan: Scan, values: Any, level: float) -> pv.PolyData:
-    """Return the surface of the values above a level, closed at the border of the volume."""
+def isosurface(scan: Scan, values: Any, level: float) -> pv.PolyData:
+    """Return the isosurface around the values above a level, closed at the border of the volume."""
     low = min(float(np.min(values)), level) - 1.0
     image = pv.ImageData(dimensions=np.array(values.shape) + 2, spacing=tuple(scan.spacing))
     image.origin = tuple(scan.origin - scan.step.sum(axis=1))

@@ -76,7 +76,7 @@ class Place:
     """Present edge length there, mm."""
 
 
-def places(mesh: Mesh, case: Case | None, folder: Path | None) -> list[Place]:
+def places_to_inspect(mesh: Mesh, case: Case | None, folder: Path | None) -> list[Place]:
     """List the places of a mesh: failed checks first.
 
     Parameters

@@ -157,7 +157,7 @@ class Scene:
         numbers = [i for i, (_, radius) in enumerate(balls) if radius > 0.0]
         for layer, wanted in ((self._balls, False), (self._chosen, True)):
             own = [sphere for i, sphere in zip(numbers, spheres, strict=True) if (i == chosen) == wanted]
-            layer.show(joined(own))
+            layer.show(appended(own))
 
     def show_cursor(self, position: Sequence[float], length: float) -> None:
         """Draw the cursor as three lines of the given half length."""
@@ -173,7 +173,7 @@ class Scene:
         """Draw the surfaces of a volume that has no mesh yet, each in its colour."""
         parts = [(surface, colour) for surface, colour in surfaces if surface.n_cells]
         colours = [np.full((surface.n_cells, 3), colour, dtype=np.uint8) for surface, colour in parts]
-        whole = joined([surface for surface, _ in parts])
+        whole = appended([surface for surface, _ in parts])
         self._preview.show(whole, np.vstack(colours) if colours else None)
         if parts:
             self._look_once(whole)
@@ -273,7 +273,7 @@ def scale_of(surface: pv.PolyData, name: str) -> tuple[float, float]:
     return low, high if high > low else low + 1e-6
 
 
-def joined(parts: Sequence[pv.PolyData]) -> pv.PolyData:
+def appended(parts: Sequence[pv.PolyData]) -> pv.PolyData:
     """Return the triangles of several surfaces as one, without their arrays."""
     if not parts:
         return pv.PolyData()

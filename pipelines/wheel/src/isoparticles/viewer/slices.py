@@ -174,9 +174,9 @@ def _polygons(surface: pv.PolyData, layer: int) -> list[NDArray[Any]]:
     lines = surface.contour([layer], scalars=surface.points[:, 2])
     if lines.n_cells == 0:
         return []
-    joined = lines.strip(join=True, max_length=surface.n_cells)
-    cells, found = np.asarray(joined.lines), []
-    points, start = np.asarray(joined.points)[:, :2], 0
+    polygons = lines.strip(join=True, max_length=surface.n_cells)
+    cells, found = np.asarray(polygons.lines), []
+    points, start = np.asarray(polygons.points)[:, :2], 0
     while start < len(cells):
         count = int(cells[start])
         found.append(points[cells[start + 1 : start + 1 + count]])

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import isoparticles.viewer.case as cases
 import isoparticles.viewer.lock as locks
-import isoparticles.viewer.places as found_places
 from isoparticles._errors import Error
 from isoparticles.viewer.paint import Paint
+from isoparticles.viewer.places import Place, places_to_inspect
 from isoparticles.viewer.run import Job
 from isoparticles.viewer.scene import Scene, shades_of_materials
 from isoparticles.viewer.session import Ball, Mask, Request, Session, size_at
@@ -33,7 +33,7 @@ class Views:
         self.slices: Slices | None = None
         self.paint: Paint | None = None
         self.job: Job | None = None
-        self.places: list[found_places.Place] = []
+        self.places: list[Place] = []
         self.cursor: NDArray[Any] = np.zeros(3)
         self.refresh_view: Callable[[], None] = lambda: None
         """Sends the scene to the browser; the page sets it."""
@@ -150,17 +150,17 @@ class Views:
         if not self.state.clip:
             self.state.clip_place = float(0.5 * (low[axis] + high[axis]))
         self.state.legend = self.scene.legend
-        self.find_places()
+        self.list_places()
         self.list_requests()
         self.show_size()
         self.draw_slices()
 
-    def find_places(self) -> None:
+    def list_places(self) -> None:
         """List the places of the mesh. The reports describe it before any update."""
         assert self.session is not None
         is_first = len(self.session.meshes) == 1 and not self.session.journal.applied
         folder = self.shown.folder if is_first else None
-        self.places = found_places.places(self.session.mesh, self.shown.case, folder)
+        self.places = places_to_inspect(self.session.mesh, self.shown.case, folder)
         kinds = list(dict.fromkeys(place.kind for place in self.places))
         self.state.places = [
             {"i": i, "kind": place.kind, "text": place.text, "there": place.position is not None}
