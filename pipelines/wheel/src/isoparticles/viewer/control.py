@@ -168,13 +168,13 @@ class Control(Views):
 
     # --- The list of requests -----------------------------------------------------------------
 
-    def place_ball(self, position: Sequence[float], h: float | None = None) -> None:
+    def place_ball(self, position: Sequence[float]) -> None:
         """Add a ball to the list of requests, and select it."""
         if self.session is None:
             return
         present = size_at(self.session.mesh, position)
         x, y, z = (round(float(value), 3) for value in position)
-        ball = Ball((x, y, z), round(RADIUS * present, 3), round(h or FINER * present, 4))
+        ball = Ball((x, y, z), round(RADIUS * present, 3), round(FINER * present, 4))
         self.session.add(ball)
         self.choose(len(self.requests) - 1)
         self.move_to(position)

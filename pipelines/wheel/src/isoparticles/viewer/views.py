@@ -247,7 +247,7 @@ class Views:
         requests = self.requests
         self.state.chosen = min(int(self.state.chosen), len(requests) - 1)
         self.state.requests = [{"i": i, "text": told(request)} for i, request in enumerate(requests)]
-        self.state.applied = [", ".join(group) for group in self.session.journal.applied]
+        self.state.applied = ["\n".join(group) for group in self.session.journal.applied]
         self.state.can_undo = self.session.can_undo
         self.state.is_fixed = bool(self.session.journal.applied) and not self.session.can_undo
         self.state.saved = self.session.journal.applied == self.session.journal.saved
