@@ -621,5 +621,6 @@ def test_a_killed_server_leaves_no_lock(site: Path, case_folder: Path, browser: 
             browser.click(button("Undo"))
             browser.wait("document.querySelectorAll('.requests li').length === 2")
             assert count(browser) == saved
+            assert "--resize" in browser.evaluate("document.querySelector('.command textarea').value")
             # the first update is part of the file
             browser.wait(f"{button('Undo')}.disabled && {button('Undo')}.title.includes('part of the opened surface')")

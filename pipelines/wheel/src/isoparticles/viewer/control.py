@@ -11,7 +11,7 @@ import numpy as np
 import isoparticles.viewer.case as cases
 from isoparticles._errors import Error
 from isoparticles.viewer.run import Job
-from isoparticles.viewer.session import Ball, Mask, Request, command_line, size_at
+from isoparticles.viewer.session import Ball, Mask, Request, size_at
 from isoparticles.viewer.views import Views
 
 POLL = 0.15
@@ -292,13 +292,8 @@ class Control(Views):
     def save(self) -> None:
         """Write the mesh, and show the command that makes it again."""
         self._expect_idle()
-        session = self.session
-        assert session is not None
-        session.save()
-        settings = dict(self.shown.case.parameters) if self.shown.case else {}
-        if self.shown.volume is not None:
-            settings["INPUT"] = str(self.shown.volume)
-        self.state.command = command_line("surface", settings, str(self.shown.out), session.resize())
+        assert self.session is not None
+        self.session.save()
         self.list_requests()
 
     async def watch(self) -> None:

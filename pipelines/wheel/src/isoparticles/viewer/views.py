@@ -16,7 +16,7 @@ from isoparticles.viewer.paint import Paint
 from isoparticles.viewer.places import Place, places_to_inspect
 from isoparticles.viewer.run import Job
 from isoparticles.viewer.scene import Scene, shades_of_materials
-from isoparticles.viewer.session import Ball, Mask, Request, Session, size_at
+from isoparticles.viewer.session import Ball, Mask, Request, Session, command_line, size_at
 from isoparticles.viewer.slices import PLANES, Slices
 
 
@@ -236,6 +236,14 @@ class Views:
 
     # --- The list of requests -----------------------------------------------------------------
 
+    def _command(self) -> str:
+        """Return the command that makes the saved mesh again; empty if the mesh is not saved."""
+        shown, session = self.shown, self.session
+        if shown.case is None or session is None or not self.state.saved or not session.journal.applied:
+            return ""
+        volume = {} if shown.volume is None else {"INPUT": str(shown.volume)}
+        return command_line("surface", {**shown.case.parameters, **volume}, str(shown.out), session.resize())
+
     @property
     def requests(self) -> list[Request]:
         """The requests that are not applied yet."""
@@ -251,8 +259,7 @@ class Views:
         self.state.can_undo = self.session.can_undo
         self.state.is_fixed = bool(self.session.journal.applied) and not self.session.can_undo
         self.state.saved = self.session.journal.applied == self.session.journal.saved
-        if not self.state.saved:
-            self.state.command = ""
+        self.state.command = self._command()
         balls = [(r.centre, r.radius) if isinstance(r, Ball) else ((0.0, 0.0, 0.0), 0.0) for r in requests]
         self.scene.show_balls(balls, int(self.state.chosen))
 
