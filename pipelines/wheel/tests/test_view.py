@@ -125,6 +125,18 @@ def test_saved_updates_are_part_of_the_files(iso: ModuleType, session: Any, tmp_
     assert (same.resize(), same.pending, same.journal.saved) == (BALL, [], [[BALL]])
 
 
+def test_a_size_field_of_earlier_updates_is_ignored(iso: ModuleType, session: Any, tmp_path: Path) -> None:
+    session.add(request(BALL))
+    session.apply()
+    session.save()
+    updated = tmp_path / "updates" / "ball.sizefield.vti"
+    content = updated.read_bytes()
+    np.testing.assert_array_equal(iso.Mesh.open(tmp_path, "ball").size.array, session.mesh.size.array)
+    session.meshes[0].save(tmp_path, overwrite=True)
+    updated.write_bytes(content)
+    np.testing.assert_array_equal(iso.Mesh.open(tmp_path, "ball").size.array, session.meshes[0].size.array)
+
+
 def test_a_surface_with_a_failed_check_opens(iso: ModuleType, session: Any, tmp_path: Path) -> None:
     (tmp_path / "ball.surface.vtp").rename(tmp_path / "ball.surface.failed.vtp")
     again = opened(iso, tmp_path)

@@ -91,6 +91,9 @@ class Mesh:
         field, size, seeds, particles, surface = results
         updated = updated_size(folder, name)
         last: Any = load(updated) if updated.exists() else size
+        # the stages do not remove the file of an update that they did not make
+        if last.history not in [used.get("history") for used in surface.history["inputs"]]:
+            last = size
         return cls(name, field, last, seeds, particles, surface, {}, None if last is size else size)
 
     @property
