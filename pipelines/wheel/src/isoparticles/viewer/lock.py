@@ -39,7 +39,8 @@ def take(folder: Path, address: str) -> int | None:
     try:
         file = os.open(folder / NAME, os.O_RDWR | os.O_CREAT, 0o600)
     except PermissionError:
-        raise _refusal(folder, "a process of another user", f"wait for it, or remove {folder / NAME}") from None
+        what_next = f"wait until it ends; if there is none, remove {folder / NAME}"
+        raise _refusal(folder, "a process of another user", what_next) from None
     if not _lock(file):
         owner, _, shown = os.read(file, 1000).decode().partition("\n")
         os.close(file)
