@@ -490,13 +490,18 @@ def test_a_browser_refines_undoes_and_saves(
     assert len(json.loads((folder / "ball.view.json").read_text())["saved"]) == 1
 
 
+def row(label: str) -> str:
+    """Return the expression of the row of controls with a label."""
+    return f"[...document.querySelectorAll('.row')].find(e => e.textContent.includes({label!r}))"
+
+
 UNNAMED = """[...document.querySelectorAll('button, input, select, textarea, [tabindex]')].filter(e =>
   !(e.textContent.trim() || e.getAttribute('aria-label') || (e.labels && [...e.labels].some(l => l.textContent.trim())))
 ).filter(e => !e.closest('.view')).map(e => e.outerHTML.slice(0, 200))"""
 
 
 PREDICTION = "document.querySelector('.prediction')"
-VERTICES = "[...document.querySelectorAll('.row')].find(e => e.textContent.includes('Vertices')).children[1]"
+VERTICES = f"{row('Vertices')}.children[1]"
 
 
 def prediction(browser: Any) -> list[str]:
@@ -594,7 +599,12 @@ def test_a_closed_tab_does_not_stop_an_update(site: Path, case_folder: Path, tmp
             one.wait("document.querySelector('.axial image')")
             one.click(devtools.button("Place ball at"))
             one.wait("document.querySelectorAll('.requests li').length === 1")
+            # a small h, so that the update takes longer than closing the tab
+            one.set("document.querySelector('[aria-label=\"Radius in mm\"]')", 8)
+            one.set(f"{row('Edge length')}.children[1]", 0.3)
+            one.wait("document.querySelector('.requests').textContent.includes('radius 8 mm, h = 0.3 mm')")
             one.click(devtools.button("Apply"))
+            one.wait("document.querySelector('.job')")
         with devtools.Browser(tmp_path / "two") as two:
             two.open(address)
             two.wait("document.querySelector('.applied li')", 120)
