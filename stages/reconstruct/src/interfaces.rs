@@ -101,8 +101,8 @@ impl Interfaces {
         edges.chunk_by(|a, b| a.0 == b.0).filter(|own| self.is_of_curve(own)).filter_map(curve).collect()
     }
 
-    /// Returns whether an edge, given with each of its triangles, belongs to more than two triangles
-    /// or to triangles of different interfaces.
+    /// Returns whether an edge, given with each of its triangles, belongs to more than two
+    /// triangles or to triangles of different interfaces.
     pub fn is_of_curve(&self, edge: &[(Segment, u32)]) -> bool {
         let first = self.between[edge[0].1 as usize];
         edge.len() > 2 || edge.iter().any(|(_, t)| self.between[*t as usize] != first)
