@@ -417,6 +417,29 @@ def test_a_second_server_is_refused(site: Path, case_folder: Path) -> None:
     assert (case_folder / "out" / "ball" / ".view.lock").stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.skipif(os.name != "posix", reason="uses flock")
+def test_nothing_is_saved_during_a_run(iso: ModuleType, session: Any, tmp_path: Path) -> None:
+    import fcntl
+
+    session.add(request(BALL))
+    session.apply()
+    with (tmp_path / ".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(iso.Error, match="a run of the stages"):
+            session.save()
+    session.save()
+    assert opened(iso, tmp_path).resize() == BALL
+
+
+def test_saving_leaves_unchanged_files(session: Any, tmp_path: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("ball.*")}
+    session.add(request(BALL))
+    session.apply()
+    session.save()
+    changed = [name for name, when in before.items() if (tmp_path / name).stat().st_mtime_ns != when]
+    assert sorted(changed) == ["ball.surface.vtp"]
+
+
 @pytest.mark.usefixtures("iso")
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the administrator may write everywhere")
 def test_a_read_only_folder_needs_no_lock(tmp_path: Path) -> None:

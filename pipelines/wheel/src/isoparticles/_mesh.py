@@ -24,6 +24,14 @@ def updated_size(folder: Path, name: str) -> Path:
     return folder / "updates" / f"{name}.{ENDINGS['sizefield']}"
 
 
+def is_saved(path: Path, result: DistanceField | SizeField | Particles | Surface) -> bool:
+    """Return whether a file contains a result: equal histories belong to equal results."""
+    try:
+        return path.exists() and load(path).history == result.history
+    except Error:
+        return False
+
+
 class Mesh:
     """The results of all stages; see :func:`isoparticles.mesh`."""
 
@@ -182,7 +190,8 @@ class Mesh:
         """Write ``NAME.distfield.vti`` and the files of the other stages to a folder.
 
         The size field of an updated mesh is written to the subfolder ``updates``, and that before
-        the updates to ``NAME.sizefield.vti``.
+        the updates to ``NAME.sizefield.vti``. A file that already contains the same result is left
+        as it is, so that the next run of the case does not repeat its stage.
 
         Raises
         ------
@@ -198,8 +207,9 @@ class Mesh:
         offending = Path(folder) / f"{name}.surface.offending.vtp"
         refuse_existing([*paths, offending], overwrite)
         for path, result in paths.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            result.save(path, overwrite=True)
+            if not is_saved(path, result):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                result.save(path, overwrite=True)
         if self._first_size is None:
             updated.unlink(missing_ok=True)
 

@@ -1,20 +1,25 @@
-"""Locks the folder of a case, so that only one page writes its list of updates.
+"""Locks the folder of a case: only one page writes its list of updates, and none saves during a run.
 
-The operating system releases the lock when the process ends, even if it is killed. The file stays.
-It contains the process and the address of its page with the token, so only its owner may read it.
+The operating system releases a lock when the process ends, even if it is killed. The file stays.
+The file of a page contains its process and its address with the token, so only its owner may read
+it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from isoparticles._errors import Error
 
 NAME = ".view.lock"
-"""Name of the file. The stages lock the file ``.lock`` of the folder."""
+"""Name of the file of a page."""
+OF_RUNS = ".lock"
+"""Name of the file that the stages lock (pipelines/case/src/folder.rs)."""
 LOCKED_BYTE = 1 << 30
 """Position of the locked byte on Windows, behind the content: locked bytes cannot be read there."""
 
@@ -48,6 +53,25 @@ def take(folder: Path, address: str) -> int | None:
     os.ftruncate(file, 0)
     os.write(file, f"process {os.getpid()} on {socket.gethostname()}\n{address}\n".encode())
     return file
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Lock a folder as a run of the stages does.
+
+    Raises
+    ------
+    Error
+        If a run has locked the folder.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder / OF_RUNS, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        if not _lock(file):
+            raise Error(f"{folder}: a run of the stages writes its files", "they would mix", "save when it has ended")
+        yield
+    finally:
+        os.close(file)
 
 
 def _refusal(folder: Path, owner: str, what_next: str) -> Error:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import isoparticles.viewer.journal as journals
+import isoparticles.viewer.lock as locks
 from isoparticles._errors import Error
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ class Session:
         Raises
         ------
         Error
-            If the mesh has no folder.
+            If the mesh has no folder, or if a run of the stages writes to it.
         """
         if self.folder is None or self.surface_file is None:
             raise Error(
@@ -233,7 +234,8 @@ class Session:
                 "files are written to the folder of a case",
                 "pass folder=... to isoparticles.view, or call Mesh.save",
             )
-        self.mesh.save(self.folder, overwrite=True)
+        with locks.held(self.folder):
+            self.mesh.save(self.folder, overwrite=True)
         self.journal.saved = [list(group) for group in self.journal.applied]
         self.journal.surface = journals.hash_of(self.surface_file)
         self._write()
