@@ -418,6 +418,14 @@ def test_a_second_server_is_refused(site: Path, case_folder: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="uses flock")
+def test_other_settings_of_a_case_are_kept(iso: ModuleType, session: Any, tmp_path: Path) -> None:
+    session.save()
+    (tmp_path / "ball.view.json").unlink(missing_ok=True)
+    module = importlib.import_module("isoparticles.viewer.session")
+    again = module.Session(iso.Mesh.open(tmp_path, "ball"), tmp_path, "points:near.csv mask:a.vti=1")
+    assert again.resize() == f"points:near.csv mask:{tmp_path / 'a.vti'}=1"
+
+
 def test_nothing_is_saved_during_a_run(iso: ModuleType, session: Any, tmp_path: Path) -> None:
     import fcntl
 

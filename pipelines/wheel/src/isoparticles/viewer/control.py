@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -270,11 +271,13 @@ class Control(Views):
         self.begin(job.start(lambda: session.apply(job.progress)), self.show_mesh)
 
     def resume(self) -> None:
-        """Apply the unsaved updates of the last session again."""
+        """Apply the unsaved updates of the last session again, or prepare the first update."""
         session = self.session
         if session is not None and session.waiting:
             job = Job("update")
             self.begin(job.start(lambda: session.resume(job.progress)), self.show_mesh)
+        elif session is not None:
+            threading.Thread(target=session.prepare, daemon=True).start()
 
     def stop(self) -> None:
         """Stop the job."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import threading
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 import isoparticles.viewer.journal as journals
 import isoparticles.viewer.lock as locks
 from isoparticles._errors import Error
+from isoparticles._stages import reconstruct
 
 if TYPE_CHECKING:
     from isoparticles._mesh import Mesh
@@ -161,6 +163,13 @@ class Session:
             self._update(self.waiting[0], progress)
             self.waiting.pop(0)
 
+    def prepare(self) -> None:
+        """Derive what updates need from the field. Otherwise, the first update would do it."""
+        mesh = self.mesh
+        # without a change of h, nothing else happens; an error would appear in the update as well
+        with contextlib.suppress(Error):
+            reconstruct(mesh.result, mesh.field, mesh.size)
+
     def add(self, request: Request) -> None:
         """Add a request to the list."""
         parse(request.text)
@@ -198,9 +207,9 @@ class Session:
 
     def _located(self, text: str) -> str:
         """Return the text, with the path of a mask in the folder of the case."""
-        request = parse(text)
-        if isinstance(request, Ball) or self.folder is None or Path(request.path).is_absolute():
+        if not text.startswith("mask:") or self.folder is None:
             return text
+        request: Any = parse(text)
         return Mask(str(self.folder / request.path), request.h).text
 
     @property
