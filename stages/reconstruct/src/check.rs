@@ -270,15 +270,18 @@ impl Checker<'_> {
         };
         topology.collapsed_triangles.append(&mut topology.duplicate_triangles);
         let whole = |t: usize| numbers.as_ref().map_or(t, |(_, triangles)| triangles[t] as usize);
-        // a component counts once: for the material inside its triangles
-        let mut flux = vec![None; measures.len()];
+        // the flux through a component, and whether the region is inside one of its triangles; a
+        // closed interface of two regions is a component of both, but counts only once
+        let mut fluxes = vec![(0.0, false); measures.len()];
         for (t, &component) in topology.component_of_triangle.iter().enumerate() {
             let t = whole(t);
-            if let Some(centroid) = self.centroids.get(t).filter(|_| self.interfaces.regions_of(t as u32)[0] == id) {
-                *flux[component as usize].get_or_insert(0.0) += centroid.flux;
+            if let Some(centroid) = self.centroids.get(t) {
+                let (flux, is_inside) = &mut fluxes[component as usize];
+                *flux += centroid.flux;
+                *is_inside |= self.interfaces.regions_of(t as u32)[0] == id;
             }
         }
-        let inward = flux.into_iter().flatten().filter(|flux| *flux <= 0.0).count();
+        let inward = fluxes.into_iter().filter(|&(flux, is_inside)| is_inside && flux <= 0.0).count();
         if let Some((vertices, triangles)) = numbers {
             let Topology { open_edges, non_manifold_edges, badly_oriented_edges, .. } = &mut topology;
             for list in [open_edges, non_manifold_edges, badly_oriented_edges] {
