@@ -59,6 +59,7 @@ impl Completion<'_> {
             thins: self.options.max_deviation.is_none(),
             sides: self.options.guarded(self.samples),
             within,
+            adjusts: within.is_some(),
         };
         let held = one_of_each_component(mesh, self.spline, self.topology);
         improve(mesh, &held, self.spline, self.size, &how, &|| Ok(monitor.check()?))

@@ -139,6 +139,12 @@ impl Interfaces {
         at
     }
 
+    /// Returns the dimension of the stratum at each vertex: 2 on interfaces, 1 on curves of three
+    /// materials, and 0 at points of more.
+    pub fn dimensions(&self) -> Vec<usize> {
+        self.materials_at_vertices().iter().map(|ids| 4usize.saturating_sub(ids.len())).collect()
+    }
+
     /// Returns the regions inside and outside of a triangle.
     pub fn regions_of(&self, triangle: u32) -> [MaterialId; 2] {
         self.between[triangle as usize].map(|id| id.region(self.first_beyond))

@@ -146,14 +146,19 @@ pub(crate) fn check_belongs(mesh: &TriangleMesh, far: usize, target: &str) -> Re
 pub(crate) fn changing(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
     let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
     let mut changes: Vec<bool> = mesh.vertices.par_iter().zip(before).map(differs).collect();
+    add_rings(&mut changes, mesh);
+    changes
+}
+
+/// Marks all vertices that are at most [`RIM`] edges away from a marked vertex.
+pub(crate) fn add_rings(marked: &mut Vec<bool>, mesh: &TriangleMesh) {
     for _ in 0..RIM {
-        let mut next = changes.clone();
-        for corners in mesh.triangles.iter().filter(|corners| corners.iter().any(|&v| changes[v as usize])) {
+        let mut next = marked.clone();
+        for corners in mesh.triangles.iter().filter(|corners| corners.iter().any(|&v| marked[v as usize])) {
             corners.iter().for_each(|&v| next[v as usize] = true);
         }
-        changes = next;
+        *marked = next;
     }
-    changes
 }
 
 #[cfg(test)]

@@ -51,6 +51,7 @@ use part::Part;
 use rayon::prelude::*;
 use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
+use std::ops::AddAssign;
 use surface::Surface;
 
 /// Options of [`improve`]. The defaults are for a mesh of settled particles: three sweeps over the
@@ -70,15 +71,17 @@ pub struct ImproveOptions<'a> {
     /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
-    /// For each vertex, whether it may change. If given, the lengths of the edges between these
-    /// vertices are first adjusted to h by splits and collapses, and all triangles at other
-    /// vertices keep their corners.
+    /// For each vertex, whether it may change. If given, triangles without such a vertex keep their
+    /// corners.
     pub within: Option<&'a [bool]>,
+    /// Whether the lengths of the edges between vertices that may change are first adjusted to h by
+    /// splits and collapses, also along junction curves.
+    pub adjusts: bool,
 }
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, within: None }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, within: None, adjusts: false }
     }
 }
 
@@ -100,6 +103,18 @@ pub struct Tally {
     pub remeshed_patches: usize,
     /// Transactions for bad triangles, kept or rolled back.
     pub tried: usize,
+}
+
+impl AddAssign for Tally {
+    fn add_assign(&mut self, other: Self) {
+        self.relocations += other.relocations;
+        self.flips += other.flips;
+        self.collapses += other.collapses;
+        self.single_moves += other.single_moves;
+        self.double_moves += other.double_moves;
+        self.remeshed_patches += other.remeshed_patches;
+        self.tried += other.tried;
+    }
 }
 
 /// Result of an improvement.
@@ -218,7 +233,7 @@ pub fn improve_sheets(
 
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
-    if part.is_some() {
+    if options.adjusts {
         surface.fill_grid();
         remesh::adjust(&mut surface, &limits, step, tally)?;
     }

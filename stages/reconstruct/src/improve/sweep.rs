@@ -95,9 +95,7 @@ pub(super) fn sweep(
     if todo.contains(&true) {
         tallies.push(work(surface, &todo)?);
     }
-    tally.relocations += tallies.iter().map(|t| t.relocations).sum::<usize>();
-    tally.collapses += tallies.iter().map(|t| t.collapses).sum::<usize>();
-    tally.flips += tallies.iter().map(|t| t.flips).sum::<usize>();
+    tallies.into_iter().for_each(|own| *tally += own);
     Ok(())
 }
 

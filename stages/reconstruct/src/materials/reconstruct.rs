@@ -2,12 +2,13 @@
 //! interfaces between materials, improves its triangles, and checks it.
 
 use super::complex::Complex;
-use super::contract::contract;
+use super::contract::{Which, contract};
 use super::improve::improve;
 use super::nodes::Nodes;
 use super::pieces::{Pieces, missing, pieces};
 use super::prepare::{Taken, onto, prepare};
 use super::refine::{RefineReport, Refinement};
+use super::simplify::simplify;
 use crate::check::{CheckOptions, CheckReport, Fault, Simplices, Truth, check};
 use crate::improve::{ImproveOptions, ImproveReport};
 use crate::interfaces::Interfaces;
@@ -115,7 +116,7 @@ pub fn reconstruct(
     let size_near = |p: DVec3| tree.nearest(p).map_or(indicators.voxel(), |(v, _)| complex.sizes[v]);
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
     if !options.keeps_voxels {
-        refined.contracted = contract(&mut interfaces, &mut dimensions, &size);
+        refined.contracted = contract(&mut interfaces, &mut dimensions, Which::Short, &size).len();
     }
     drop(phase);
 
@@ -126,11 +127,13 @@ pub fn reconstruct(
         // Removing vertices between junctions would change volumes: by 7 % for the nested balls of
         // the tests at the coarse size, which is more than the test allows.
         thins: false,
-        sides: None,
-        within: None,
+        ..ImproveOptions::default()
     };
     let step = || Ok(monitor.check()?);
-    let (improved, _) = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
+    let (mut improved, _) = improve(&mut interfaces, &dimensions, indicators, guarded, &size, &how, &step)?;
+    if !options.keeps_voxels {
+        refined.contracted += simplify(&mut interfaces, indicators, &size, (&how, &mut improved), &step)?;
+    }
     drop(phase);
     monitor.check()?;
     let sizes = interfaces.mesh.vertices.par_iter().map(|&p| size(p)).collect();

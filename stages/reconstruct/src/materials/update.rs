@@ -48,9 +48,9 @@ pub fn update(
         thins: false,
         sides: None,
         within: Some(&within),
+        adjusts: true,
     };
-    let meeting = interfaces.materials_at_vertices();
-    let dimensions: Vec<usize> = meeting.iter().map(|ids| 4usize.saturating_sub(ids.len())).collect();
+    let dimensions = interfaces.dimensions();
     let before = interfaces.mesh.vertices.clone();
     let guarded = options.keeps_voxels.then_some(nodes);
     let step = || Ok(monitor.check()?);
