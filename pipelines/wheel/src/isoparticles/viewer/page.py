@@ -94,9 +94,11 @@ class Page:
 
     def _ready(self, **_: Any) -> None:
         self._tasks = [asyncio.get_running_loop().create_task(self.control.watch())]
-        if self.control.shown.mesh is None and self.control.shown.volume is not None:
-            self.choice.changed()
-        self.control.resume()
+        # trame never sends a variable that a browser has read between its change and a flush
+        with self.control.state:
+            if self.control.shown.mesh is None and self.control.shown.volume is not None:
+                self.choice.changed()
+            self.control.resume()
 
     def start(self, exec_mode: str = "main") -> Any:
         """Serve the page until the program is stopped (``main``), or in a task (``task``)."""
