@@ -403,6 +403,59 @@ def test_a_notebook_shows_a_folder_on_one_page(
     assert asyncio.run(statuses()) == [None, 200, 200]
 
 
+@pytest.mark.parametrize("takes_port", [False, True])
+def test_a_page_answers_as_soon_as_its_server_runs(mesh: Any, takes_port: bool) -> None:
+    import asyncio
+
+    import aiohttp
+
+    case, page = (importlib.import_module(f"isoparticles.viewer.{name}") for name in ("case", "page"))
+
+    async def ask() -> int:
+        made = page.Page(case.of_mesh(mesh))
+        if takes_port:
+            # a page that ends before its server runs releases its port
+            first = made
+            first.start("task")
+            first.close()
+            made = page.Page(case.of_mesh(mesh), first.web.port)
+        # a browser may connect before the loop of the notebook is free
+        with socket.create_connection(("127.0.0.1", made.web.port), 1.0):
+            made.start("task")
+            async with aiohttp.ClientSession() as client, client.get(made.address) as answer:
+                return answer.status
+
+    assert asyncio.run(ask()) == 200
+
+
+CELLS = [
+    "import asyncio, urllib.request, isoparticles as iso",
+    "get = lambda: urllib.request.urlopen(frame.src, timeout=10).status",
+    "frame = iso.view('out/ball')",
+    "port = frame.page.web.port; frame = iso.view('out/ball', port=port)",
+    "assert await asyncio.to_thread(get) == 200",
+    "assert frame.page.web.port == port",
+    "assert len(frame.page.control.session.mesh.result.vertices) > 0",
+]
+
+
+@pytest.mark.timeout(120)
+def test_cells_of_a_notebook_show_pages(site: Path, case_folder: Path) -> None:
+    pytest.importorskip("ipykernel", reason="ipykernel: not installed")
+    manager = importlib.import_module("jupyter_client.manager")
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    kernel, client = manager.start_new_kernel(cwd=str(case_folder), env=environment)
+    try:
+        # as "Run All", which requests all cells at once
+        for cell in CELLS:
+            client.execute(cell)
+        answers = [client.get_shell_msg(timeout=60)["content"] for _ in CELLS]
+        assert [(answer["status"], answer.get("evalue")) for answer in answers] == [("ok", None)] * len(CELLS)
+    finally:
+        client.stop_channels()
+        kernel.shutdown_kernel(now=True)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="reads the mode of a file")
 def test_a_second_server_is_refused(site: Path, case_folder: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(site)}

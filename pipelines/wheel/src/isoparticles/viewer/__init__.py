@@ -33,8 +33,8 @@ address of the page. Only this computer can open it. Over SSH, forward the port:
 """
 
 
-_pages: dict[Path, Any] = {}
-"""The pages in this notebook by the folders that they lock."""
+_pages: list[Any] = []
+"""The pages of this notebook that have not ended."""
 
 
 def expect_trame() -> None:
@@ -75,7 +75,7 @@ def view(
     -------
     object
         In a notebook, an IFrame, whose attribute ``page.control.session.mesh`` is the present mesh.
-        It ends an earlier page of the same folder in the notebook.
+        It ends an earlier page of the same folder or ``port`` in the notebook.
         Elsewhere, the page itself, with the attribute ``control.session.mesh``; the function then
         returns after Ctrl-C.
 
@@ -95,20 +95,26 @@ def view(
         shown = cases.open_case(os.fsdecode(mesh), Path("out"))
     else:
         shown = cases.of_mesh(mesh, image, None if folder is None else Path(folder))
-    place = None if shown.folder is None else shown.folder.resolve()
-    if place in _pages:
-        _pages.pop(place).close()
+    _close_pages(shown.folder, port)
     page = Page(shown, port)
     if "ipykernel" not in sys.modules:
         print(f"isoparticles: {page.address}", flush=True)
         page.start("main")
         return page
     page.start("task")
-    if place is not None:
-        _pages[place] = page
+    _pages.append(page)
     frame: Any = import_module("IPython.display").IFrame(page.address, width="100%", height=height)
     frame.page = page
     return frame
+
+
+def _close_pages(folder: Path | None, port: int) -> None:
+    """End the pages of this notebook that show the folder or have the port."""
+    place = None if folder is None else folder.resolve()
+    for page in list(_pages):
+        if page.web.port == port or (place is not None and page.place == place):
+            _pages.remove(page)
+            page.close()
 
 
 def main(words: Sequence[str]) -> int:

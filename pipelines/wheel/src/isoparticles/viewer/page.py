@@ -37,7 +37,11 @@ class Page:
     def __init__(self, shown: cases.Shown, port: int = 0, token: str | None = None) -> None:
         self.server: Any = get_server(f"isoparticles-{id(self)}", client_type="vue3")
         self.web = PageServer(self.server, port, token)
-        self.control = Control(self.server, shown, self.address)
+        try:
+            self.control = Control(self.server, shown, self.address)
+        except Exception:
+            self.web.release()
+            raise
         self.choice = Choice(self.control)
         self.task: Any = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -48,6 +52,12 @@ class Page:
     def address(self) -> str:
         """The address of the page, with its token."""
         return self.web.address
+
+    @property
+    def place(self) -> Path | None:
+        """The absolute path of the folder that the page has locked; None for a mesh in memory."""
+        folder = self.control.shown.folder
+        return None if folder is None else folder.resolve()
 
     def _lay_out(self) -> None:
         self.server.state.trame__title = f"{self.control.shown.name} - isoparticles"
@@ -104,12 +114,14 @@ class Page:
         """Serve the page until the program is stopped (``main``), or in a task (``task``)."""
         self.task = self.web.start(exec_mode)
         if exec_mode == "main":
+            self.web.release()
             self.control.close()
         return self.task
 
     def close(self) -> None:
-        """End the page of a notebook: stop its run, and release its folder."""
+        """End the page of a notebook: stop its run, and release its port and its folder."""
+        self.web.release()
         self.control.close()
         for task in self._tasks:
             task.cancel()
-        self._tasks = [asyncio.get_running_loop().create_task(self.server.stop())]
+        self._tasks = [asyncio.get_running_loop().create_task(self.web.stop())]

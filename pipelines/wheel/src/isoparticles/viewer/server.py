@@ -13,6 +13,7 @@ import hmac
 import os
 import secrets
 import socket
+import sys
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -50,26 +51,31 @@ def guard(token: str) -> Any:
     return check
 
 
-def free_port(port: int) -> int:
-    """Return the port, or a free port if it is 0.
+def listening(port: int) -> socket.socket:
+    """Return a socket that listens on the port, or on a free port if it is 0.
+
+    A browser that connects before the server runs waits for its answer.
 
     Raises
     ------
     Error
-        If another program uses it.
+        If another program uses the port.
     """
-    with socket.socket() as one:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            one.bind((ADDRESS, port))
-        except (OSError, OverflowError) as error:
-            raise Error(
-                f"port {port}: {error.strerror if isinstance(error, OSError) else 'not a port'}",
-                "the page needs a port of its own",
-                "leave out --port, or give a free one, such as --port 8765",
-            ) from None
-        chosen: int = one.getsockname()[1]
-    return chosen
+    one = socket.socket()
+    try:
+        if sys.platform != "win32":
+            # otherwise, the port of an ended page would stay in use for a minute
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        one.bind((ADDRESS, port))
+        one.listen()
+    except (OSError, OverflowError) as error:
+        one.close()
+        raise Error(
+            f"port {port}: {error.strerror if isinstance(error, OSError) else 'not a port'}",
+            "the page needs a port of its own",
+            "leave out --port, or give a free one, such as --port 8765",
+        ) from None
+    return one
 
 
 class PageServer:
@@ -77,9 +83,13 @@ class PageServer:
 
     def __init__(self, server: Any, port: int = 0, token: str | None = None) -> None:
         self.server = server
-        self.port = free_port(port)
         self.token = token or secrets.token_hex(TOKEN_BYTES)
+        self._socket = listening(port)
+        self.port: int = self._socket.getsockname()[1]
+        self._wslink: Any = None
+        self._listener: asyncio.AbstractServer | None = None
         server.controller.on_server_bind.add(self._bind)
+        server.controller.on_server_ready.add_task(self._listen)
 
     @property
     def address(self) -> str:
@@ -94,6 +104,16 @@ class PageServer:
         inner.router.add_post("/paraview/", self._session)
         outer.add_subapp(f"/{self.token}/", inner)
         wslink.set_app(outer)
+        self._wslink = wslink
+
+    async def _listen(self, **_: Any) -> None:
+        """Serve the socket of this page instead of the port that wslink has opened."""
+        await self._wslink.site.stop()
+        if self._socket.fileno() >= 0:
+            # release() must find the listener before it watches the socket
+            create = asyncio.get_running_loop().create_server
+            self._listener = await create(self._wslink.runner.server, sock=self._socket, start_serving=False)
+            await self._listener.start_serving()
 
     async def _session(self, request: web.Request) -> web.Response:
         """Answer the request of the client of trame for the address of the websocket."""
@@ -109,7 +129,7 @@ class PageServer:
         if exec_mode == "main":
             asyncio.set_event_loop(asyncio.new_event_loop())
         return self.server.start(
-            port=self.port,
+            port=0,
             host=ADDRESS,
             timeout=0,
             open_browser=False,
@@ -117,3 +137,14 @@ class PageServer:
             disable_logging=True,
             exec_mode=exec_mode,
         )
+
+    def release(self) -> None:
+        """Close the port at once."""
+        if self._listener is not None:
+            self._listener.close()
+        self._socket.close()
+
+    async def stop(self) -> None:
+        """Stop the server, even if it has not started completely."""
+        await self.server.ready
+        await self.server.stop()
