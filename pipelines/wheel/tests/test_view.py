@@ -125,6 +125,22 @@ def test_saved_updates_are_part_of_the_files(iso: ModuleType, session: Any, tmp_
     assert (same.resize(), same.pending, same.journal.saved) == (BALL, [], [[BALL]])
 
 
+def test_a_mesh_in_memory_has_no_updates_of_the_files(iso: ModuleType, mesh: Any, session: Any, tmp_path: Path) -> None:
+    assert session.is_saved
+    session.add(request(BALL))
+    session.apply()
+    session.save()
+    module = importlib.import_module("isoparticles.viewer.session")
+    again = module.Session(mesh, tmp_path)
+    assert (again.journal.applied, [one.text for one in again.pending], again.is_saved) == ([], [BALL], False)
+    assert "another mesh" in again.note
+    again.save()
+    assert again.is_saved
+    np.testing.assert_array_equal(iso.Mesh.open(tmp_path, "ball").result.vertices, mesh.result.vertices)
+    # a new folder does not contain the mesh
+    assert not module.Session(mesh, tmp_path / "new").is_saved
+
+
 def test_a_size_field_of_earlier_updates_is_ignored(iso: ModuleType, session: Any, tmp_path: Path) -> None:
     session.add(request(BALL))
     session.apply()

@@ -29,7 +29,7 @@ Look at a case in the browser, and refine its mesh by pointing.
 
 CASE is the name of a case in --out, the folder of a case, or a volume. The program prints the
 address of the page. Only this computer can open it. Over SSH, forward the port:
-  ssh -L 8765:127.0.0.1:8765 HOST isoparticles view CASE --port 8765
+  ssh -t -L 8765:127.0.0.1:8765 HOST isoparticles view CASE --port 8765
 """
 
 

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 import isoparticles.viewer.journal as journals
 import isoparticles.viewer.lock as locks
 from isoparticles._errors import Error
+from isoparticles._mesh import Mesh, is_saved
 from isoparticles._stages import reconstruct
-
-if TYPE_CHECKING:
-    from isoparticles._mesh import Mesh
 
 Progress = Callable[[str, str, int, int | None, str], object] | None
 
@@ -106,6 +104,8 @@ class Session:
         """What happened to the updates of an earlier session, in words."""
         self.journal = journals.Journal()
         self._lock = threading.Lock()
+        self._is_in_file = True
+        """Whether the surface file contains a mesh of this session; true without a folder."""
         if folder is not None:
             self._restore(resize)
 
@@ -139,6 +139,14 @@ class Session:
         assert self.surface_file is not None
         found = journals.read(self.path)
         now = journals.hash_of(self.surface_file)
+        self._is_in_file = is_saved(self.surface_file, self.mesh.result)
+        if now and not self._is_in_file:
+            # a mesh in memory, and the folder contains another one
+            saved = found.saved if found.surface == now else []
+            self.journal = journals.Journal([], [*found.texts, *found.pending], saved, now)
+            if found.texts:
+                self.note = "The folder contains another mesh. The updates of that mesh are listed, not applied."
+            return
         if found.surface == now:
             count = len(found.saved)
             is_undone = found.applied[:count] != found.saved
@@ -213,6 +221,11 @@ class Session:
         return Mask(str(self.folder / request.path), request.h).text
 
     @property
+    def is_saved(self) -> bool:
+        """Whether the files contain the present mesh; without a folder, whether it is the first."""
+        return self._is_in_file and self.journal.applied == self.journal.saved
+
+    @property
     def can_undo(self) -> bool:
         """Whether there is an update to undo."""
         return len(self.meshes) > 1
@@ -245,6 +258,7 @@ class Session:
             )
         with locks.held(self.folder):
             self.mesh.save(self.folder, overwrite=True)
+        self._is_in_file = True
         self.journal.saved = [list(group) for group in self.journal.applied]
         self.journal.surface = journals.hash_of(self.surface_file)
         self._write()

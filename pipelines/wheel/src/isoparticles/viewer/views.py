@@ -258,7 +258,7 @@ class Views:
         self.state.applied = ["\n".join(group) for group in self.session.journal.applied]
         self.state.can_undo = self.session.can_undo
         self.state.is_fixed = bool(self.session.journal.applied) and not self.session.can_undo
-        self.state.saved = self.session.journal.applied == self.session.journal.saved
+        self.state.saved = self.session.is_saved
         self.state.command = self._command()
         balls = [(r.centre, r.radius) if isinstance(r, Ball) else ((0.0, 0.0, 0.0), 0.0) for r in requests]
         self.scene.show_balls(balls, int(self.state.chosen))
