@@ -139,9 +139,12 @@ class PageServer:
         )
 
     def release(self) -> None:
-        """Close the port at once."""
+        """Close the port at once, and the idle connections."""
         if self._listener is not None:
             self._listener.close()
+            # a browser would send the requests for the next page at this port on them
+            if self._wslink.runner.server is not None:
+                self._wslink.runner.server.pre_shutdown()
         self._socket.close()
 
     async def stop(self) -> None:
