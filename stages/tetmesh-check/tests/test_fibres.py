@@ -24,7 +24,7 @@ from tetmesh_check.export.formats import export
 from tetmesh_check.export.mesh import MarkedMesh, object_mesh
 from tetmesh_check.fibres.arguments import Angles, FibreArguments
 from tetmesh_check.fibres.mapping import map_fibres
-from tetmesh_check.fibres.rule import Harmonic, bislerp, directions, frames
+from tetmesh_check.fibres.rule import Harmonic, between, bislerp, directions, frames
 from tetmesh_check.parts.algebra import Members
 from tetmesh_check.quality import OUTWARD_FACES
 from tetmesh_check.topology import tetrahedron_boundary
@@ -109,7 +109,7 @@ def assert_orthonormal(mesh: MarkedMesh) -> None:
     np.testing.assert_allclose(np.linalg.det(matrices), 1.0, atol=1e-12)
 
 
-def between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the angles between vectors whose signs do not count, degrees."""
     products = np.abs(np.einsum("ij,ij->i", first, second))
     return np.asarray(np.degrees(np.arccos(np.clip(products, 0.0, 1.0))))
@@ -154,7 +154,7 @@ def test_the_vectors_are_orthonormal_and_the_sheet_has_its_angle() -> None:
     plain = mapped(half_ellipsoid(3))
     np.testing.assert_allclose(plain.fields["fibre"], found.fields["fibre"], atol=1e-12)
     transmural = found.point_fields["transmural"][found.tetrahedra].mean(axis=1)
-    angles = between(found.fields["sheet"], plain.fields["sheet"])
+    angles = angle_between(found.fields["sheet"], plain.fields["sheet"])
     np.testing.assert_allclose(angles, np.abs(-65.0 + 90.0 * transmural), atol=1e-4)
 
 
@@ -189,7 +189,7 @@ def test_vectors_and_coordinates_are_in_the_frame_of_the_output() -> None:
     lps, ras = mapped(replace(mesh, space="lps")), mapped(replace(mesh, space="ras"))
     signs = np.array([-1.0, -1.0, 1.0])
     for name in ("fibre", "sheet", "sheet_normal"):
-        assert between(signs * lps.fields[name], ras.fields[name]).max() < 1e-4
+        assert angle_between(signs * lps.fields[name], ras.fields[name]).max() < 1e-4
     np.testing.assert_allclose(ras.point_fields["apicobasal"], lps.point_fields["apicobasal"], atol=1e-8)
 
 
@@ -279,10 +279,10 @@ def test_interpolation_ignores_signs_and_is_even() -> None:
     half = bislerp(first * flips, first * turn, np.array([0.5, 0.5, 0.5])).as_matrix()
     exact = (first * Rotation.from_rotvec(np.radians([[0.0, 0.0, 20.0]] * 3))).as_matrix()
     for column in range(3):
-        assert between(half[:, :, column], exact[:, :, column]).max() < 1e-4
+        assert angle_between(half[:, :, column], exact[:, :, column]).max() < 1e-4
     for share, end in ((0.0, first), (1.0, first * turn)):
         found = bislerp(first * flips, first * turn, np.full(3, share)).as_matrix()
-        assert between(found[:, :, 0], end.as_matrix()[:, :, 0]).max() < 1e-4
+        assert angle_between(found[:, :, 0], end.as_matrix()[:, :, 0]).max() < 1e-4
 
 
 def test_parallel_gradients_give_a_frame() -> None:
@@ -294,11 +294,12 @@ def test_parallel_gradients_give_a_frame() -> None:
 def test_free_walls_and_septum_have_the_angles_of_their_surfaces() -> None:
     share = np.linspace(0.0, 1.0, 21)
     x, up = np.tile([1.0, 0.0, 0.0], (21, 1)), np.tile([0.0, 0.0, 1.0], (21, 1))
-    along, zero = Harmonic(share, up), Harmonic(0.0 * share, 0.0 * x)
+    zero = Harmonic(0.0 * share, 0.0 * x)
 
     def helix(epi: Harmonic, rv: Harmonic | None, outward: float) -> np.ndarray:
         """Return helix angles in the frame whose transmural axis is ``outward`` times x."""
-        fibre, _, _ = directions(along, epi, rv, HELIX, (0.0, 0.0), (30.0, -20.0))
+        left, right = (np.stack([between(ends, epi.values), 0.0 * share]) for ends in (HELIX, (30.0, -20.0)))
+        fibre, _, _ = directions(up, epi, rv, left, right)
         angle = np.degrees(np.arctan2(fibre[:, 2], outward * fibre[:, 1]))
         return np.asarray((angle + 90.0) % 180.0 - 90.0)
 
@@ -344,7 +345,61 @@ def test_fibres_of_two_ventricles_turn_steadily() -> None:
     inner = (faces[order][1:] == faces[order][:-1]).all(axis=1)
     first, second = (np.tile(fibre, (4, 1))[order[side]][inner] for side in (slice(-1), slice(1, None)))
     # fibres must jump somewhere, such as on the lines where the ventricles meet
-    assert (between(first, second) > 45.0).mean() < 0.003
+    assert (angle_between(first, second) > 45.0).mean() < 0.003
+
+
+def test_the_transventricular_coordinate_names_the_ventricle() -> None:
+    mesh, sets = two_ventricles(4)
+    found = mapped(mesh, sets).point_fields
+    assert "transventricular" not in mapped(half_ellipsoid(2)).point_fields
+    side, (x, y, z) = found["transventricular"], mesh.points.T
+    for name, value in (("endo", -1.0), ("endo_rv", 1.0)):
+        own = np.unique(mesh.boundary[np.isin(mesh.marks, sorted(sets[name]))])
+        np.testing.assert_allclose(side[own], value, atol=1e-12)
+    # the septum, a slab far from its edges, and the free walls
+    septum = (abs(y - 2.5) < 0.3) & (z > 3.0) & (x > 4.0) & (x < 5.0)
+    np.testing.assert_allclose(side[septum], 2.0 * (x[septum] - 4.0) - 1.0, atol=0.02)
+    assert (side[x < 3.5] < 0.0).all()
+    assert (side[x > 5.5] > 0.0).all()
+
+
+# --- outflow tracts -------------------------------------------------------------------------------
+
+OUTFLOW = 5
+
+
+def half_open(layers: int) -> tuple[MarkedMesh, dict[str, Members]]:
+    """Return a half-ellipsoid whose base is an outflow tract where x > 0."""
+    mesh = half_ellipsoid(layers)
+    is_outflow = (mesh.marks == BASE) & (mesh.points[mesh.boundary].mean(axis=1)[:, 0] > 0.0)
+    mesh = replace(mesh, marks=np.where(is_outflow, OUTFLOW, mesh.marks))
+    return mesh, {**SETS, "outflow": frozenset([OUTFLOW])}
+
+
+def test_fibres_turn_to_the_angles_of_the_outflow_tract() -> None:
+    mean = []
+    for layers in (3, 6):
+        mesh, sets = half_open(layers)
+        helix, place = helix_of(mapped(mesh, sets))
+        at_valve = np.isin(mesh.tetrahedra, np.unique(mesh.boundary[mesh.marks == OUTFLOW])).sum(axis=1) > 2
+        # the longitudinal direction jumps where the valves meet, at x = 0
+        at_valve &= mesh.points[mesh.tetrahedra].mean(axis=1)[:, 0] > 10.0
+        error = (helix - (90.0 - 90.0 * place.transmural) + 90.0) % 180.0 - 90.0
+        mean.append(float(np.abs(error[at_valve]).mean()))
+        # the opposite wall has the angles of the ventricle
+        plain, _ = helix_of(mapped(half_ellipsoid(layers)))
+        opposite = (np.abs(place.turn) > np.radians(150.0)) & (place.polar > np.radians(20.0))
+        assert np.abs(helix - plain)[opposite].max() < 6.0
+    assert mean[1] < mean[0] / 1.6 < 3.0 / 1.6, str(mean)
+
+
+def test_the_apicobasal_coordinate_leads_to_all_valves() -> None:
+    for layers in (3, 6):
+        mesh, sets = half_open(layers)
+        found = mapped(mesh, sets).point_fields["apicobasal"]
+        np.testing.assert_allclose(found[np.isclose(mesh.points[:, 2], 0.0)], 1.0, atol=1e-12)
+        apart = found - mapped(half_ellipsoid(layers)).point_fields["apicobasal"]
+        assert np.abs(apart).max() < 0.1
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -489,6 +544,8 @@ WRONG = [
     ([*FIBRES, "--helix", "60"], "'60' is not ENDO,EPI in degrees"),
     ([*FIBRES, "--helix", "100,-60"], "'100,-60' is not ENDO,EPI in degrees"),
     ([*FIBRES, "--helix-rv", "90,-25"], "--helix-rv without --endo-rv"),
+    ([*FIBRES, "--helix-outflow", "90,0"], "--helix-outflow without --outflow"),
+    ([*FIBRES, "--outflow", "lid"], "--outflow lid and --base share lid"),
     ([*FIBRES, "--apex", "1,2"], "'1,2' is not X,Y,Z"),
     ([*FIBRES[:3], "inner -", *FIBRES[4:]], "'inner -' ends where a name is expected"),
     ([*FIBRES[:3], "iner", *FIBRES[4:]], "--endo iner: 'iner' is not the name of a part"),

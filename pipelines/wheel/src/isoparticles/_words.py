@@ -16,7 +16,8 @@ NOT_FOR_TETRAHEDRA = frozenset(
     (
         *("output", "sizefield", "distfield", "labels-volume", "export", "for", "unit", "order", "pictures"),
         *("density", "calibrate", "law", "density-of", "bins", "tag", "set", "sets", "split", "gap", "layers"),
-        *("fibres", "endo", "endo-rv", "epi", "base", "apex", "helix", "helix-rv", "sheet"),
+        *("fibres", "endo", "endo-rv", "epi", "base", "outflow", "apex", "helix"),
+        *("helix-rv", "helix-outflow", "sheet"),
         *("verbose", "quiet", "force", "report", "progress", "version", "help"),
     )
 )

@@ -19,13 +19,18 @@ Angles = tuple[float, float]
 DEFAULT_HELIX: Angles = (40.0, -50.0)
 DEFAULT_SHEET: Angles = (-65.0, 25.0)
 """Both are the angles of Bayer et al. 2012, for the hearts of dogs."""
+DEFAULT_OUTFLOW: Angles = (90.0, 0.0)
+"""Helix angles of both outflow tracts in Doste et al. 2019."""
 MAX_APEX_DISTANCE = 0.1
 """Maximum distance of ``--apex`` from the boundary of the muscle, relative to the diagonal of the
 bounding box of the muscle. The wall of a heart is thinner."""
 WHY = "fibres follow from harmonic functions with different values on these boundaries"
 """Why the boundaries matter."""
-_OPTIONS = ("endo", "endo_rv", "epi", "base", "apex", "helix", "sheet", "helix_rv")
+_SETS = ("endo", "endo_rv", "epi", "base", "outflow")
+_OPTIONS = (*_SETS, "apex", "helix", "sheet", "helix_rv", "helix_outflow")
 _REQUIRED = ("endo", "epi", "base")
+_NEEDS = {"helix_rv": "endo_rv", "helix_outflow": "outflow"}
+"""The boundary to which angles apply."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,7 @@ class FibreArguments:
     material: str
     """Name of the muscle; ``object`` for one object."""
     sets: tuple[Definition, ...]
-    """The boundaries ``endo``, ``epi``, ``base`` and, for two ventricles, ``endo_rv``."""
+    """The boundaries ``endo``, ``epi`` and ``base``, and optionally ``endo_rv`` and ``outflow``."""
     apex: tuple[float, float, float] | None
     """A position near the apex, mm, in the world frame of the output; by default, the point of the
     epicardium that is farthest from the base."""
@@ -45,6 +50,8 @@ class FibreArguments:
     """Angles from the transmural direction to the sheet."""
     helix_rv: Angles | None = None
     """Helix angles of the right ventricle; by default those of the left one."""
+    helix_outflow: Angles = DEFAULT_OUTFLOW
+    """Helix angles at ``outflow``."""
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the history."""
@@ -79,15 +86,17 @@ def fibre_arguments(given: Mapping[str, Any]) -> FibreArguments | None:
             "fibres follow from the endocardium, the epicardium and the base of the muscle",
             "add these options with sets such as 'wall/blood', 'wall/outside - caps' and caps",
         )
-    if given["helix_rv"] is not None and given["endo_rv"] is None:
-        raise StageError(
-            "--helix-rv without --endo-rv",
-            "a muscle with one endocardium has one ventricle",
-            "add --endo-rv with the endocardium of the right ventricle, or use --helix",
-        )
-    sets = tuple(replace(given[name], name=name) for name in _OPTIONS[:4] if given[name] is not None)
+    for angles, boundary in _NEEDS.items():
+        if given[angles] is not None and given[boundary] is None:
+            raise StageError(
+                f"{names[angles]} without {names[boundary]}",
+                "these angles apply near that boundary only",
+                f"add {names[boundary]} with a set, or omit {names[angles]}",
+            )
+    sets = tuple(replace(given[name], name=name) for name in _SETS if given[name] is not None)
     helix, sheet = given["helix"] or DEFAULT_HELIX, given["sheet"] or DEFAULT_SHEET
-    return FibreArguments(given["fibres"], sets, given["apex"], helix, sheet, given["helix_rv"])
+    outflow = given["helix_outflow"] or DEFAULT_OUTFLOW
+    return FibreArguments(given["fibres"], sets, given["apex"], helix, sheet, given["helix_rv"], outflow)
 
 
 def check_tissue(arguments: FibreArguments | None, names: Sequence[str]) -> None:

@@ -1,9 +1,10 @@
 """Maps fibres and coordinates onto the tetrahedra of a muscle, by Laplace's equation.
 
 Inputs are the sets of boundary triangles of the options. Outputs are the cell fields ``fibre``,
-``sheet`` and ``sheet_normal`` (:mod:`.rule`), and the point fields ``apicobasal``, ``transmural``
-and ``rotational``, after the universal ventricular coordinates of Bayer et al. (Med Image Anal
-45:83-93, 2018).
+``sheet`` and ``sheet_normal`` (:mod:`.rule`), and the point fields ``apicobasal``, ``transmural``,
+``rotational`` and, for two ventricles, ``transventricular``, after the universal ventricular
+coordinates of Bayer et al. (Med Image Anal 45:83-93, 2018). Outflow tracts follow Doste et al. (Int
+J Numer Meth Biomed Engng 35:e3185, 2019).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tetmesh_check.fem.assembly import linear_elements
 from tetmesh_check.fem.forward import FLOW
 from tetmesh_check.fem.solver import solve
 from tetmesh_check.fibres.arguments import WHY, FibreArguments
-from tetmesh_check.fibres.rule import Harmonic, directions, is_level, unit
+from tetmesh_check.fibres.rule import Harmonic, between, directions, is_level, unit
 from tetmesh_check.parts.algebra import Members
 from tetmesh_check.parts.names import option_name
 from tetmesh_check.quality import Labels, Points, Values, signed_tetrahedron_volumes, triangle_quality
@@ -107,7 +108,12 @@ def _harmonic(muscle: _Muscle, values: Values) -> Harmonic:
     return Harmonic(values[corners].mean(axis=0), np.column_stack(gradients))
 
 
-def _apicobasal(muscle: _Muscle, up: Points, apex: Labels) -> Values:
+def _joined(muscle: _Muscle, *names: str) -> Labels:
+    """Return the points on those of some boundaries that there are."""
+    return np.concatenate([muscle.nodes[name] for name in names if name in muscle.nodes])
+
+
+def _apicobasal(muscle: _Muscle, up: Points, apex: Labels, base: Labels) -> Values:
     """Return the distance from the apex over the sum of the distances from apex and base.
 
     Distances are lengths along the apicobasal directions, in the least-squares sense: the gradient
@@ -116,12 +122,37 @@ def _apicobasal(muscle: _Muscle, up: Points, apex: Labels) -> Values:
     """
     load = FLOW.assemble(muscle.basis, current=unit(up).T[:, :, None])
     below, above = (
-        np.maximum(_solve(muscle, [(nodes, 0.0)], sign * load), 0.0)
-        for nodes, sign in ((apex, 1.0), (muscle.nodes["base"], -1.0))
+        np.maximum(_solve(muscle, [(nodes, 0.0)], sign * load), 0.0) for nodes, sign in ((apex, 1.0), (base, -1.0))
     )
     # both distances can be 0 at the base
     from_base = np.divide(above, below + above, out=np.zeros_like(above), where=above > 0.0)
     return np.asarray(1.0 - from_base)
+
+
+def _along(muscle: _Muscle, apex: Labels) -> tuple[Points, Values]:
+    """Return apicobasal gradients, and the share of the ventricles in the angles, by Doste et al.
+
+    The share is 0 at ``outflow`` and 1 at ``base`` and near the apex, and harmonic in between. A
+    point is near the apex if the outflow tracts are farther away. In the paper, the share is 1 at
+    the apex only. Its influence would depend on the size of the tetrahedra.
+    """
+    base, outflow = muscle.nodes["base"], muscle.nodes.get("outflow")
+    up = _harmonic(muscle, _solve(muscle, [(base, 1.0), (apex, 0.0)])).gradients
+    if outflow is None:
+        return up, np.ones(len(up))
+    out = _harmonic(muscle, _solve(muscle, [(outflow, 1.0), (apex, 0.0)])).gradients
+    near = np.flatnonzero(_apicobasal(muscle, out, apex, outflow) < 0.5)
+    share = _harmonic(muscle, _solve(muscle, [(outflow, 0.0), (base, 1.0), (near, 1.0)])).values
+    return share[:, None] * up + (1.0 - share[:, None]) * out, share
+
+
+def _angles(arguments: FibreArguments, epi: Values, share: Values) -> list[Values]:
+    """Return helix and sheet angles of the left and the right ventricle, shape ``(2, m)`` each."""
+    outflow, sheet = between(arguments.helix_outflow, epi), between(arguments.sheet, epi)
+    return [
+        np.stack([share * between(helix, epi) + (1.0 - share) * outflow, sheet])
+        for helix in (arguments.helix, arguments.helix_rv or arguments.helix)
+    ]
 
 
 def _rotational(muscle: _Muscle, apex: Points) -> Values:
@@ -174,28 +205,32 @@ def map_fibres(
             WHY,
             "remove small pieces from the labels, or choose another set",
         )
-    points, nodes = muscle.basis.mesh.p.T, muscle.nodes
     apex = _apex(muscle, arguments.apex)
-    endo = np.concatenate([nodes[name] for name in ("endo", "endo_rv") if name in nodes])
-    up = _harmonic(muscle, _solve(muscle, [(nodes["base"], 1.0), (apex, 0.0)]))
-    transmural = _solve(muscle, [(endo, 0.0), (nodes["epi"], 1.0)])
-    rv = None
-    if "endo_rv" in nodes:
-        ends = [(nodes["endo"], 0.0), (nodes["epi"], 0.0), (nodes["endo_rv"], 1.0)]
-        rv = _harmonic(muscle, _solve(muscle, ends))
-    angles = (arguments.helix, arguments.sheet, arguments.helix_rv or arguments.helix)
-    vectors = directions(up, _harmonic(muscle, transmural), rv, *angles)
+    along, share = _along(muscle, apex)
+    coordinates = _coordinates(muscle, along, apex)
+    epi, rv = _harmonic(muscle, coordinates["transmural"]), None
+    if "endo_rv" in muscle.nodes:
+        rv = _harmonic(muscle, _solve(muscle, [(_joined(muscle, "endo", "epi"), 0.0), (muscle.nodes["endo_rv"], 1.0)]))
+    vectors = directions(along, epi, rv, *_angles(arguments, epi.values, share))
     named = zip(("fibre", "sheet", "sheet_normal"), vectors, strict=True)
     fields = {name: _spread(found, muscle.cells, len(mesh.regions), 0.0) for name, found in named}
-    coordinates = {
-        "apicobasal": _apicobasal(muscle, up.gradients, apex),
-        "transmural": transmural,
-        "rotational": _rotational(muscle, points[apex[0]]),
-    }
     at_points = {name: _spread(found, muscle.points, len(mesh.points), np.nan) for name, found in coordinates.items()}
-    counts = (len(own), len(muscle.cells), int(is_level(up.gradients).sum()))
-    _report(arguments, points[apex[0]], counts, context)
+    counts = (len(own), len(muscle.cells), int(is_level(along).sum()))
+    _report(arguments, muscle.basis.mesh.p.T[apex[0]], counts, context)
     return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)
+
+
+def _coordinates(muscle: _Muscle, along: Points, apex: Labels) -> dict[str, Values]:
+    """Return the coordinates of the points by name."""
+    nodes = muscle.nodes
+    found = {
+        "apicobasal": _apicobasal(muscle, along, apex, _joined(muscle, "base", "outflow")),
+        "transmural": _solve(muscle, [(_joined(muscle, "endo", "endo_rv"), 0.0), (nodes["epi"], 1.0)]),
+        "rotational": _rotational(muscle, muscle.basis.mesh.p.T[apex[0]]),
+    }
+    if "endo_rv" in nodes:
+        found["transventricular"] = _solve(muscle, [(nodes["endo"], -1.0), (nodes["endo_rv"], 1.0)])
+    return found
 
 
 def _spread(values: Values, where: Labels, count: int, rest: float) -> Values:
@@ -207,12 +242,12 @@ def _spread(values: Values, where: Labels, count: int, rest: float) -> Values:
 
 def _apex(muscle: _Muscle, wanted: tuple[float, float, float] | None) -> Labels:
     """Return the point at the apex, shape ``(1,)``: see :attr:`.FibreArguments.apex`."""
-    points, nodes = muscle.basis.mesh.p.T, muscle.nodes
+    points, nodes, base = muscle.basis.mesh.p.T, muscle.nodes, _joined(muscle, "base", "outflow")
     if wanted is None:
-        away, _ = KDTree(points[nodes["base"]]).query(points[nodes["epi"]])
+        away, _ = KDTree(points[base]).query(points[nodes["epi"]])
         return np.asarray(nodes["epi"][[away.argmax()]])
     away = np.linalg.norm(points - wanted, axis=1)
-    away[nodes["base"]] = np.inf
+    away[base] = np.inf
     return np.asarray(away.argmin(keepdims=True))
 
 

@@ -1,9 +1,9 @@
 """The rule of Bayer et al. for the directions of heart muscle (Ann Biomed Eng 40:2243-2254, 2012).
 
-Inputs are the values and gradients of harmonic functions in each element: ``along`` is 0 at the
-apex and 1 at the base; ``lv``, ``rv`` and ``epi`` are each 1 at one surface (left endocardium,
-right endocardium, epicardium) and 0 at the other two. Outputs are orthonormal vectors:
-fibre, sheet (within the sheet, across the fibre) and sheet normal.
+Inputs are apicobasal directions, the angles, and values and gradients of harmonic functions in each
+element: ``lv``, ``rv`` and ``epi`` are each 1 at one surface (left endocardium, right endocardium,
+epicardium) and 0 at the other two. Outputs are orthonormal vectors: fibre, sheet (within the sheet,
+across the fibre) and sheet normal.
 
 One formula differs from the paper. There, the angles of the endocardial frame do not depend on
 ``epi``, so that in a free wall the helix angle follows the square of ``epi``, and jumps if its ends
@@ -109,30 +109,27 @@ def _share(epi: Harmonic, rv: Harmonic) -> Values:
     return np.clip(np.where(inner > _ON_EPICARDIUM, rv.values / np.maximum(inner, _ON_EPICARDIUM), limit), 0.0, 1.0)
 
 
+def between(ends: Angles, epi: Values) -> Values:
+    """Return angles that change linearly from the endocardium to the epicardium."""
+    return np.asarray(ends[0] + (ends[1] - ends[0]) * epi)
+
+
 def directions(
-    along: Harmonic,
-    epi: Harmonic,
-    rv: Harmonic | None,
-    helix: Angles,
-    sheet: Angles,
-    helix_rv: Angles,
+    along: Points, epi: Harmonic, rv: Harmonic | None, left: Values, right: Values
 ) -> tuple[Points, Points, Points]:
     """Return fibre, sheet and normal of each element, shape ``(m, 3)`` each.
 
     Parameters
     ----------
-    along, epi, rv
+    along
+        Apicobasal gradients, shape ``(m, 3)``.
+    epi, rv
         The harmonic functions of the module's description; ``rv`` is ``None`` for one ventricle.
         The values of ``lv`` are 1 - ``epi`` - ``rv``.
-    helix, sheet
-        The angles, in the left or only ventricle.
-    helix_rv
-        The helix angles of the right ventricle, which has the same sheet angles.
+    left, right
+        Helix and sheet angles of each ventricle, degrees, shape ``(2, m)``.
     """
-    left, right = (
-        np.stack([ends[0] + (ends[1] - ends[0]) * epi.values for ends in (own, sheet)]) for own in (helix, helix_rv)
-    )
-    transmural = frames(along.gradients, epi.gradients)
+    transmural = frames(along, epi.gradients)
     if rv is None:
         found = oriented(transmural, *left)
     else:
@@ -140,7 +137,7 @@ def directions(
         share = _share(epi, rv)
         # the frames of the septum point from the left to the right ventricle
         septal = (1.0 - share) * left - share * right
-        first, second = (oriented(frames(along.gradients, across), *septal) for across in (from_lv, rv.gradients))
+        first, second = (oriented(frames(along, across), *septal) for across in (from_lv, rv.gradients))
         outer = oriented(transmural, *((1.0 - share) * left + share * right))
         found = bislerp(bislerp(first, second, share), outer, np.clip(epi.values, 0.0, 1.0))
     vectors = found.as_matrix()
