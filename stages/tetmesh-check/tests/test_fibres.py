@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import isoparticles as iso
+import meshio
 import numpy as np
 import pytest
 import pyvista as pv
@@ -450,6 +453,78 @@ def test_legacy_vtk_has_vectors_and_coordinates(tmp_path: Path) -> None:
         np.testing.assert_array_equal(grid.cell_data[name], mesh.fields[name])
     for name in ("apicobasal", "transmural", "rotational"):
         np.testing.assert_array_equal(grid.point_data[name], mesh.point_fields[name])
+
+
+@pytest.mark.parametrize("kind", ["msh", "med", "xdmf"])
+def test_meshio_reads_vectors_and_coordinates(tmp_path: Path, kind: str) -> None:
+    mesh = mapped(half_ellipsoid(2))
+    coordinates = {**mesh.point_fields, "rotational": np.where(mesh.points[:, 0] > 0.0, np.nan, 1.0)}
+    mesh = replace(mesh, point_fields=coordinates)
+    export(mesh, tmp_path / "b.volume.vtu", "b", kind)
+    found = meshio.read(tmp_path / f"b.volume.{kind}")
+    for name in ("fibre", "sheet", "sheet_normal"):
+        np.testing.assert_allclose(found.cell_data_dict[name]["tetra"], mesh.fields[name])
+    for name, values in mesh.point_fields.items() if kind != "msh" else ():
+        np.testing.assert_allclose(found.point_data[name], values)
+
+
+@pytest.mark.parametrize("kind", ["msh", "med"])
+@NEEDS_HXT
+def test_gmsh_shows_fibres_as_views(tmp_path: Path, kind: str) -> None:
+    mesh = mapped(half_ellipsoid(2))
+    export(mesh, tmp_path / "b.volume.vtu", "b", kind)
+    words = [sys.executable, "-c", GMSH, str(tmp_path / f"b.volume.{kind}")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if "no MED" in done.stdout:
+        pytest.skip("this Gmsh does not read MED")
+    assert done.returncode == 0, done.stdout + done.stderr
+    views = json.loads(done.stdout.splitlines()[-1])
+    coordinates = mesh.point_fields if kind == "med" else {}
+    assert set(views) == {*mesh.fields, *coordinates}
+    for name, values in mesh.fields.items():
+        # centroids and vectors, which do not depend on the order of the elements
+        rows = np.hstack([mesh.points[mesh.tetrahedra].mean(axis=1), values])
+        assert_same_rows(rows, np.array(views[name]))
+    for name, values in coordinates.items():
+        assert_same_rows(np.column_stack([mesh.points, values]), np.array(views[name]))
+
+
+GMSH = """
+import gmsh, json, sys
+import numpy as np
+gmsh.initialize(interruptible=False)
+gmsh.option.setNumber("General.Terminal", 0)
+try:
+    gmsh.open(sys.argv[1])
+except Exception:
+    if sys.argv[1].endswith(".med"):
+        print("no MED")
+        sys.exit(0)
+    raise
+tags, at, _ = gmsh.model.mesh.getNodes()
+place = dict(zip(tags.tolist(), at.reshape(-1, 3)))
+found = {}
+for view in gmsh.view.getTags():
+    index = gmsh.view.getIndex(view)
+    name = gmsh.option.getString(f"View[{index}].Name")
+    kind, of, values, _, count = gmsh.view.getHomogeneousModelData(view, 0)
+    rows = []
+    for tag, own in zip(of, values.reshape(-1, count)):
+        if kind == "NodeData":
+            rows.append([*place[tag], *own])
+        else:
+            shape, nodes, _, _ = gmsh.model.mesh.getElement(tag)
+            if shape == 4:
+                rows.append([*np.mean([place[node] for node in nodes], axis=0), *own])
+    found[name] = np.array(rows).tolist()
+print(json.dumps(found))
+"""
+
+
+def assert_same_rows(first: np.ndarray, second: np.ndarray) -> None:
+    """Assert that rows, which start with a place, are the same in any order."""
+    orders = [np.lexsort(np.round(rows[:, :3], 6).T) for rows in (first, second)]
+    np.testing.assert_allclose(first[orders[0]], second[orders[1]], atol=1e-8)
 
 
 # --- the command line -----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from tetmesh_check.export.gmsh import write_med, write_msh, write_msh2, write_si
 from tetmesh_check.export.mesh import Block, MarkedMesh, numbered_sets
 from tetmesh_check.export.vtk import write_boundary, write_legacy, write_simvascular_faces, write_simvascular_volume
 from tetmesh_check.files import write_atomically
-from tetmesh_check.quality import Cells, Labels, Points
+from tetmesh_check.quality import Cells, Labels, Points, Values
 
 Writer = Callable[[MarkedMesh, Path], None]
 
@@ -109,7 +109,7 @@ def _face(mesh: MarkedMesh, path: Path, part: str) -> None:
     write_simvascular_faces(mesh, path, own.members)
 
 
-def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
+def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels | Values]:
     """Return the arrays of an XDMF file by name.
 
     The boundary uses the points of the volume: FEniCS reads the triangles as tags of facets. For
@@ -131,6 +131,8 @@ def _arrays(mesh: MarkedMesh, stem: str) -> dict[str, Points | Cells | Labels]:
         "elements": cells(mesh.elements_of()),
         "region": mesh.regions,
         "boundary": mesh.point_marks(),
+        **mesh.fields,
+        **mesh.point_fields,
     }
 
 

@@ -1,5 +1,9 @@
 """Writes Gmsh 4.1 and 2.2, and MED, with regions and parts of the boundary as groups.
 
+Fields of elements are views in Gmsh 4.1, and fields of elements and points are written to MED. A
+face has the values of the element behind it, because meshio reads only fields of all elements of a
+file. It reads no file of version 2.2 with fields, and mixes up fields of the points of version 4.1.
+
 meshio writes 2.2 and MED (Salome, Code_Aster). It is not used for 4.1: it omits an entity if all
 its nodes belong to other entities, and Gmsh refuses such a file.
 """
@@ -15,7 +19,7 @@ import meshio
 import numpy as np
 
 from tetmesh_check.export.mesh import Block, MarkedMesh, NamedSet, numbered_sets
-from tetmesh_check.quality import Cells, Labels
+from tetmesh_check.quality import Cells, Labels, Values
 
 _KIND = {"triangle": 2, "triangle6": 9, "quad": 3, "tetra": 4, "tetra10": 11, "wedge": 6}
 """Gmsh's number of each kind."""
@@ -53,6 +57,14 @@ def _ordered(block: Block, orders: dict[str, list[int]]) -> Cells:
     return block.nodes[:, orders[block.kind]] if block.kind in orders else block.nodes
 
 
+def _fields(mesh: MarkedMesh, elements: Labels) -> dict[str, Values]:
+    """Return the fields of some elements by name; NaN for :data:`.NOBODY`, the last index."""
+    return {
+        name: np.concatenate([values, np.full_like(values[:1], np.nan)])[elements]
+        for name, values in mesh.fields.items()
+    }
+
+
 def _meshio(
     mesh: MarkedMesh, orders: dict[str, list[int]], regions: list[NamedSet], parts: list[NamedSet], tags: list[str]
 ) -> meshio.Mesh:
@@ -85,10 +97,18 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
         groups[own.number] = [part.name, *mesh.unions_of(part.number)]
     made = _meshio(mesh, _MED_NODES, regions, parts, ["cell_tags"])
     made.cell_tags = groups
+    made.point_data = mesh.point_fields
+    ends = np.cumsum([len(block.data) for block in made.cells])[:-1]
+    for name, values in _fields(mesh, np.concatenate([np.arange(len(mesh.regions)), mesh.owners])).items():
+        made.cell_data[name] = np.split(values, ends)
     # meshio would otherwise choose the format by the name of the file
     meshio.write(path, made, file_format="med")
     with h5py.File(path, "r+") as file:
         file["ENS_MAA/mesh"].attrs["DES"] = np.bytes_(_comment(mesh))
+        for field in file["CHA"].values():
+            # meshio writes one name, and the MED library expects one for each component
+            names = "XYZ" if field.attrs["NCO"] == 3 else " "
+            field.attrs["NOM"] = np.bytes_("".join(f"{name:<16}" for name in names))
 
 
 def write_simnibs(mesh: MarkedMesh, path: Path) -> None:
@@ -164,6 +184,7 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     entities = [pack("<4Q", 0, 0, len(parts), len(regions))]
     nodes: list[bytes] = []
     cells_of: list[bytes] = []
+    elements: list[Labels] = []
     is_left, first, count = np.ones(len(mesh.points), dtype=bool), 1, 0
     for (dimension, own, blocks), further in zip(sets, more, strict=True):
         used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
@@ -177,19 +198,31 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
         for block in blocks:
             rows = np.column_stack([np.arange(first, first + len(block.nodes)), _ordered(block, _GMSH_NODES) + 1])
             cells_of += [pack("<3iQ", dimension, own.number, _KIND[block.kind], len(rows)), _whole(rows)]
+            elements.append(block.members if dimension == 3 else mesh.owners[block.members])
             first += len(rows)
             count += 1
-    sections = {
-        "MeshFormat": [b"4.1 1 8\n", pack("<i", 1)],
-        "Comments": [_comments(mesh, parts).encode()],
-        "PhysicalNames": ["\n".join([str(len(names)), *names]).encode()],
-        "Entities": entities,
-        "Nodes": [pack("<4Q", len(sets), int((~is_left).sum()), 1, len(mesh.points)), *nodes],
-        "Elements": [pack("<4Q", count, first - 1, 1, first - 1), *cells_of],
-    }
+    sections = [
+        ("MeshFormat", [b"4.1 1 8\n", pack("<i", 1)]),
+        ("Comments", [_comments(mesh, parts).encode()]),
+        ("PhysicalNames", ["\n".join([str(len(names)), *names]).encode()]),
+        ("Entities", entities),
+        ("Nodes", [pack("<4Q", len(sets), int((~is_left).sum()), 1, len(mesh.points)), *nodes]),
+        ("Elements", [pack("<4Q", count, first - 1, 1, first - 1), *cells_of]),
+    ]
+    views = _fields(mesh, np.concatenate(elements)).items()
+    sections += [("ElementData", _view(name, values)) for name, values in views]
     with path.open("wb") as file:
-        for name, body in sections.items():
+        for name, body in sections:
             file.writelines([f"${name}\n".encode(), *body, f"\n$End{name}\n".encode()])
+
+
+def _view(name: str, values: Values) -> list[bytes]:
+    """Return the values of all elements of a file, which are numbered from 1."""
+    rows = values.reshape(len(values), -1)
+    table = np.empty(len(rows), dtype=[("number", "<i4"), ("values", "<f8", (rows.shape[1],))])
+    table["number"], table["values"] = np.arange(1, len(rows) + 1), rows
+    # one text, the name; one real number, the time; three whole numbers: step, components, rows
+    return [f'1\n"{name}"\n1\n0\n3\n0\n{rows.shape[1]}\n{len(rows)}\n'.encode(), table.tobytes()]
 
 
 def _whole(numbers: Cells | Labels) -> bytes:
