@@ -35,7 +35,7 @@ CLASSES = {
     "reconstruct": ("ReconstructOptions", "reconstruct"),
     "tetmesh-check": ("TetmeshOptions", "fill"),
 }
-KINDS = {"flag": "bool", "number": "float", "whole": "int", "text": "str"}
+KINDS = {"flag": "bool", "number": "float", "whole": "int", "text": "str", "numbers": "str | Iterable[float]"}
 SPECIAL = {
     "labels": "Labels",
     "material": "Materials",

@@ -485,6 +485,9 @@ def test_options_become_words_in_their_order(iso: ModuleType) -> None:
     assert words("seed", {"from_": "marching-cubes", "count": 5.0}) == ["--from", "marching-cubes", "--count", "5"]
     for factors in (2, "2", (2, 2, 2), np.array([2, 2, 2])):
         assert words("distfield", {"downsample": factors}) in (["--downsample", "2"], ["--downsample", "2,2,2"])
+    assert words("tetmesh-check", {"helix": (-60, 60.5), "apex": np.zeros(3), "sheet": "0,0"}) == [
+        *("--helix=-60,60.5", "--apex", "0,0,0", "--sheet", "0,0")
+    ]
     assert words("distfield", {"crop": Path("a b.nrrd")}) == ["--crop", "a b.nrrd"]
     for given, kind in [
         ({"downsample": [2, None]}, TypeError),
@@ -889,6 +892,25 @@ def test_a_mesh_that_ends_at_planes_is_filled(iso: ModuleType) -> None:
     with pytest.raises(iso.Error, match="the plane meets no material") as caught:
         iso.distance_field(tube(), labels=1, cut="plane:99,0,0,1,0,0")
     assert caught.value.next
+
+
+def test_a_wall_gets_fibres(iso: ModuleType) -> None:
+    pytest.importorskip("gmsh")
+    pytest.importorskip("pyamg")
+    x, y, z = np.indices((26, 26, 22))
+    radius = np.linalg.norm([x - 12.5, y - 12.5, (z - 21.5) / 1.6], axis=0)
+    labels = np.where(radius < 6.0, 1, np.where(radius < 10.5, 2, 0)).astype(np.uint8)
+    made = iso.mesh(labels, materials={"blood": 1, "wall": 2}, size=2.5, backend="cpu", name="heart")
+    given = {"fibres": "wall", "endo": "endo", "epi": "wall/outside - caps", "base": "caps", "solve": "no"}
+    options = {**given, "set": "endo = wall/blood", "helix": (60, -60)}
+    filled = iso.fill(made.result, made.size, **options)
+    grid = filled.to_pyvista()
+    lengths = np.linalg.norm(grid.cell_data["fibre"], axis=1)
+    np.testing.assert_allclose(lengths, np.asarray(grid.cell_data["region"]) == 2, atol=1e-12)
+    assert filled.report["parameters"]["fibres"]["helix"] == [60, -60]
+    with pytest.raises(iso.Error, match="--fibres without --base") as caught:
+        iso.fill(made.result, made.size, **{**options, "base": None})
+    assert "add these options" in caught.value.next
 
 
 def test_surfaces_of_other_programs_are_loaded(iso: ModuleType, tmp_path: Path) -> None:

@@ -250,6 +250,11 @@ class TetmeshOptions(TypedDict, total=False):
     #: World frame of the meshes and of the places in the report: lps (left, posterior, superior),
     #: ras (right, anterior, superior), or scanner, the frame of the file that distfield read.
     space: Literal["lps", "ras", "scanner"]
+    #: Name the triangles of the outer boundary with their centre in ball:X,Y,Z,RADIUS, or on the
+    #: side of plane:X,Y,Z,NX,NY,NZ that its normal points to, in mm, in the frame of the output.
+    tag: str | Iterable[str]
+    #: Define a set, such as 'epi = wall/outside - caps' or 'inlet = lumen_cap_z0_1'.
+    set: str | Iterable[str]
     #: Tetrahedralizer. Default: auto.
     method: Literal["auto", "ftetwild", "hxt", "tetgen"]
     #: Ratio of the edge length of the tetrahedra to h, 0.1 to 100. Default: 1.0.
@@ -285,6 +290,31 @@ class TetmeshOptions(TypedDict, total=False):
     source: str
     #: Conductivity of a material, S/m, above 0.
     conductivity: Mapping[str, float] | str | Iterable[str]
+    #: The material that gets fibres.
+    fibres: str
+    #: Endocardium of the left ventricle, or of the only one: an expression of ``--set``, such as
+    #: wall/blood.
+    endo: str
+    #: Endocardium of the right ventricle.
+    endo_rv: str
+    #: Epicardium, such as 'wall/outside - caps'.
+    epi: str
+    #: Base, such as caps.
+    base: str
+    #: Ends of the outflow tracts, such as aortic + pulmonary: fibres turn to ``--helix-outflow``
+    #: there, and the apicobasal direction leads to these valves.
+    outflow: str
+    #: Position, mm, in the frame of the output: the apex is the nearest point of the muscle that is
+    #: not on the base or ``--outflow``.
+    apex: str | Iterable[float]
+    #: Angles from the circumferential direction to the fibre at both surfaces, degrees, -90 to 90.
+    helix: str | Iterable[float]
+    #: The same angles in the right ventricle.
+    helix_rv: str | Iterable[float]
+    #: The same angles at ``--outflow``.
+    helix_outflow: str | Iterable[float]
+    #: Angles from the transmural direction to the sheet at both surfaces, degrees, -90 to 90.
+    sheet: str | Iterable[float]
     #: Number of CPU threads, 0 for all cores.
     threads: int
     #: Maximum memory of the run, such as 8G or 500M.

@@ -15,16 +15,14 @@ from isoparticles import _native
 NOT_FOR_TETRAHEDRA = frozenset(
     (
         *("output", "sizefield", "distfield", "labels-volume", "export", "for", "unit", "order", "pictures"),
-        *("density", "calibrate", "law", "density-of", "bins", "tag", "set", "sets", "split", "gap", "layers"),
-        *("fibres", "endo", "endo-rv", "epi", "base", "outflow", "apex", "helix"),
-        *("helix-rv", "helix-outflow", "sheet"),
+        *("density", "calibrate", "law", "density-of", "bins", "sets", "split", "gap", "layers"),
         *("verbose", "quiet", "force", "report", "progress", "version", "help"),
     )
 )
 """Options of ``tetmesh-check`` that concern further files, or the terminal."""
 STAGES = ("distfield", "sizefield", "particles", "reconstruct")
 """Stages whose options :func:`isoparticles.mesh` takes as text."""
-KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole"}
+KINDS = {"number": "number", "whole": "whole", "number_of_bytes": "whole", "point": "numbers", "angles": "numbers"}
 """Kinds of options by their ``type`` in ``options.toml``. Other types are texts."""
 EXTRA_KEYS = frozenset(
     (
@@ -195,6 +193,8 @@ def _texts(name: str, option: Mapping[str, Any], value: Any) -> list[str]:
         return [f"{_pair(own)}={scalar(name, size, 'number')}" for own, size in value.items()]
     if option["name"] == "downsample":
         return [_factors(name, value)]
+    if option["kind"] == "numbers" and not isinstance(value, str):
+        return [",".join(scalar(name, one, "number") for one in _all(name, value))]
     if not option["repeated"]:
         return [scalar(name, value, option["kind"])]
     return [scalar(name, one, option["kind"]) for one in ([value] if isinstance(value, str) else _all(name, value))]
