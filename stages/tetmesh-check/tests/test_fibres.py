@@ -366,6 +366,25 @@ def test_the_transventricular_coordinate_names_the_ventricle() -> None:
     assert (side[x > 5.5] > 0.0).all()
 
 
+def test_helix_angles_are_reported_by_depth() -> None:
+    context = quiet_context()
+    map_fibres(FibreArguments("object", (), None, HELIX, (0.0, 0.0)), SETS, half_ellipsoid(6), context)
+    (layers,) = context.results["fibres"]["helix_by_depth"].values()
+    assert [layer["depth"] for layer in layers] == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9])
+    for layer in layers:
+        assert layer["mean"] == pytest.approx(60.0 - 120.0 * layer["depth"], abs=6.0)
+        assert layer["p5"] < layer["mean"] < layer["p95"]
+    mesh, sets = two_ventricles(4)
+    arguments = FibreArguments("object", (), (4.0, 2.5, 0.0), HELIX, (0.0, 0.0), (90.0, -20.0))
+    map_fibres(arguments, sets, mesh, context)
+    walls = context.results["fibres"]["helix_by_depth"]
+    assert list(walls) == ["left free wall", "septum", "right free wall"]
+    for wall, (inner, outer) in zip(walls, (HELIX, (60.0, -90.0), (90.0, -20.0)), strict=True):
+        for layer in walls[wall]:
+            expected = inner + (outer - inner) * layer["depth"]
+            assert (layer["mean"] - expected + 90.0) % 180.0 - 90.0 == pytest.approx(0.0, abs=15.0), wall
+
+
 # --- outflow tracts -------------------------------------------------------------------------------
 
 OUTFLOW = 5

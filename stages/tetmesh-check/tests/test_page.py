@@ -193,6 +193,32 @@ def test_density_and_stiffness_are_listed(case: Path, tmp_path: Path) -> None:
         assert said in words
 
 
+def test_helix_angles_of_fibres_are_drawn(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    layers = [{"depth": 0.1 + 0.2 * k, "count": 7, "mean": 50.0 - k, "p5": 40.0, "p95": 60.25} for k in range(5)]
+    report["results"]["fibres"] = {
+        "material": "w<all>", "tetrahedra": 12345, "apex_mm": [1.0, -2.0, 3.0], "sets": {"endo": "a/b", "base": "caps"},
+        "helix_by_depth": {"left free wall": layers, "septum": layers[:1], "right free wall": []},
+    }  # fmt: skip
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    elements = made(write_status(folder, "a&b"), folder / "x.html")
+    words = elements.words.replace("\u202f", " ")
+    for said in (
+        "Fibres",
+        "musclew<all>, 12 345 tetrahedra",
+        "endoa/b",
+        "basecaps",
+        "left free wall: depth",
+        "0.174050",
+        "60.2",
+    ):
+        assert said in words
+    charts = [svg["aria-label"] for svg in elements.of("svg") if "Helix angle" in (svg.get("aria-label") or "")]
+    assert len(charts) == 2
+    assert "mean from 50 to 46 degrees" in str(charts[0])
+
+
 def test_a_closeup_is_enlarged_where_the_mesh_is() -> None:
     pixels = np.zeros((1200, 1600, 4), dtype=np.uint8)
     pixels[:1030, :800] = (200, 100, 50, 255)

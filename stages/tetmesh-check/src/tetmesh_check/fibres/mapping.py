@@ -27,6 +27,7 @@ from tetmesh_check.fem.assembly import linear_elements
 from tetmesh_check.fem.forward import FLOW
 from tetmesh_check.fem.solver import solve
 from tetmesh_check.fibres.arguments import WHY, FibreArguments
+from tetmesh_check.fibres.measures import helix_by_depth
 from tetmesh_check.fibres.rule import Harmonic, between, directions, is_level, unit
 from tetmesh_check.parts.algebra import Members
 from tetmesh_check.parts.names import option_name
@@ -217,6 +218,7 @@ def map_fibres(
     at_points = {name: _spread(found, muscle.points, len(mesh.points), np.nan) for name, found in coordinates.items()}
     counts = (len(own), len(muscle.cells), int(is_level(along).sum()))
     _report(arguments, muscle.basis.mesh.p.T[apex[0]], counts, context)
+    context.results["fibres"]["helix_by_depth"] = helix_by_depth(vectors[0], along, epi, rv)
     return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)
 
 

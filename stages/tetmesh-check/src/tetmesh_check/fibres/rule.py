@@ -101,7 +101,7 @@ def bislerp(first: Rotation, second: Rotation, share: Values) -> Rotation:
     return start * Rotation.from_rotvec(share[:, None] * (start.inv() * second).as_rotvec())
 
 
-def _share(epi: Harmonic, rv: Harmonic) -> Values:
+def ventricle_share(epi: Harmonic, rv: Harmonic) -> Values:
     """Return the share of the right ventricle: rv / (lv + rv), and its limit at the epicardium."""
     slope = np.einsum("ij,ij->i", epi.gradients, epi.gradients)
     limit = -np.einsum("ij,ij->i", rv.gradients, epi.gradients) / np.maximum(slope, 1e-300)
@@ -134,7 +134,7 @@ def directions(
         found = oriented(transmural, *left)
     else:
         from_lv = epi.gradients + rv.gradients
-        share = _share(epi, rv)
+        share = ventricle_share(epi, rv)
         # the frames of the septum point from the left to the right ventricle
         septal = (1.0 - share) * left - share * right
         first, second = (oriented(frames(along, across), *septal) for across in (from_lv, rv.gradients))

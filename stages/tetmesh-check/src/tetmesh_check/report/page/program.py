@@ -27,8 +27,8 @@ from tetmesh_check.surface import read_dataset
 TOOL = "tetmesh-check-page"
 _SECTIONS = (
     "what went wrong", "checks", "places", "volumes", "the mesh in the volume",
-    "in three dimensions", "pictures", "materials", "parts and sets", "density", "quality", "solve", "particles", "stages",
-    "files", "how this was made", "methods",
+    "in three dimensions", "pictures", "materials", "parts and sets", "density", "fibres", "quality", "solve", "particles",
+    "stages", "files", "how this was made", "methods",
 )  # fmt: skip
 """The sections in order. The names of their templates have ``_`` instead of spaces."""
 _OTHER_VERSION = (KeyError, IndexError, TypeError, ValueError, UndefinedError)
