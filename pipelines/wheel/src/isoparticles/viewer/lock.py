@@ -1,4 +1,4 @@
-"""Locks the folder of a case: only one page writes its list of updates, and none saves during a run.
+"""Locks the folder of a case: one page writes its list of updates, and none saves during a run.
 
 The operating system releases a lock when the process ends, even if it is killed. The file stays.
 The file of a page contains its process and its address with the token, so only its owner may read

@@ -57,7 +57,7 @@ def _layers(angles: Values, depths: Values) -> list[dict[str, Any]]:
 
 
 def _summary(angles: Values) -> dict[str, Any]:
-    """Return count, mean and percentiles of angles that are equal to themselves plus 180 degrees."""
+    """Return count, mean and percentiles of angles with a period of 180 degrees."""
     # twice the angle of a direction does not depend on its sign
     doubled = np.exp(2j * np.radians(angles)).mean()
     mean = float(np.degrees(np.angle(doubled))) / 2.0
