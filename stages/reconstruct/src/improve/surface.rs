@@ -472,8 +472,8 @@ impl<'a> Surface<'a> {
 }
 
 /// Returns the mesh of the triangles that are not [`DEAD`] and of their vertices, in the same
-/// order. Also returns the interface of each triangle of the mesh, and the index in the mesh of each
-/// vertex (`u32::MAX` if it is not used).
+/// order. Also returns the interface of each triangle of the mesh, and the index in the mesh of
+/// each vertex (`u32::MAX` if it is not used).
 pub(super) fn compacted(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
