@@ -90,9 +90,10 @@ pub(crate) fn warn_if_too_coarse(features: &Features, geometry: &Geometry, size:
         .min_by(|&a, &b| features.feature_size[a].total_cmp(&features.feature_size[b]))
         .unwrap_or(0);
     context.warn(format!(
-        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (minimum {} mm, at {} mm); \
+        "h = {} mm is larger than the local feature size on {:.1} % of the surface (minimum {} mm, at {} mm); \
          thin parts may be lost or merged. Lower SIZE (--uniform) or raise VERTICES (--vertices); without them, h \
          follows the shape",
+        significant(size),
         100.0 * coarse as f64 / features.points.len() as f64,
         significant(features.feature_size[worst]),
         place(geometry.grid_to_world(features.points[worst]).to_array()),
