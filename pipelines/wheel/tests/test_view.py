@@ -487,6 +487,13 @@ def test_a_second_server_is_refused(site: Path, case_folder: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="uses flock")
+def test_a_saved_mesh_is_shown(mesh: Any, tmp_path: Path) -> None:
+    mesh.save(tmp_path / "saved", "ball")
+    shown = importlib.import_module("isoparticles.viewer.case").open_case("saved", tmp_path)
+    assert (shown.name, shown.folder) == ("ball", tmp_path / "saved")
+    np.testing.assert_array_equal(shown.mesh.result.vertices, mesh.result.vertices)
+
+
 def test_other_settings_of_a_case_are_kept(iso: ModuleType, session: Any, tmp_path: Path) -> None:
     session.save()
     (tmp_path / "ball.view.json").unlink(missing_ok=True)

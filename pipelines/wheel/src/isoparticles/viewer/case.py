@@ -62,11 +62,17 @@ def open_case(word: str, out: Path, name: str | None = None) -> Shown:
     Error
         If there is no such case or volume, or if it cannot be read.
     """
+    from isoparticles._mesh import Mesh
+
     path = Path(word)
     for folder in (path, out / word):
         found = sorted(folder.glob("*.status.json")) if folder.is_dir() else []
         if len(found) == 1:
             return open_results(found[0])
+        # Mesh.save writes no status
+        saved = sorted(folder.glob("*.surface.vtp")) if folder.is_dir() and not found else []
+        if len(saved) == 1:
+            return of_mesh(Mesh.open(folder, saved[0].name.removesuffix(".surface.vtp")), folder=folder)
     if path.name.endswith(".status.json") and path.is_file():
         return open_results(path)
     if not path.exists():
