@@ -270,8 +270,8 @@ impl Checker<'_> {
         };
         topology.collapsed_triangles.append(&mut topology.duplicate_triangles);
         let whole = |t: usize| numbers.as_ref().map_or(t, |(_, triangles)| triangles[t] as usize);
-        // the flux through a component, and whether the region is inside one of its triangles; a
-        // closed interface of two regions is a component of both, but counts only once
+        // for each component: its flux, and whether the region is on the inner side of a triangle;
+        // a closed interface of two regions is a component of both, and counts for one of them
         let mut fluxes = vec![(0.0, false); measures.len()];
         for (t, &component) in topology.component_of_triangle.iter().enumerate() {
             let t = whole(t);

@@ -25,7 +25,7 @@ def updated_size(folder: Path, name: str) -> Path:
 
 
 def is_saved(path: Path, result: DistanceField | SizeField | Particles | Surface) -> bool:
-    """Return whether a file contains a result: equal histories belong to equal results."""
+    """Return whether a file contains a result, judged by its history."""
     try:
         return path.exists() and load(path).history == result.history
     except Error:
@@ -99,7 +99,7 @@ class Mesh:
         field, size, seeds, particles, surface = results
         updated = updated_size(folder, name)
         last: Any = load(updated) if updated.exists() else size
-        # the stages do not remove the file of an update that they did not make
+        # the folder may contain the size field of another mesh
         if last.history not in [used.get("history") for used in surface.history["inputs"]]:
             last = size
         return cls(name, field, last, seeds, particles, surface, {}, None if last is size else size)

@@ -301,8 +301,8 @@ class TetmeshOptions(TypedDict, total=False):
     epi: str
     #: Base, such as caps.
     base: str
-    #: Ends of the outflow tracts, such as aortic + pulmonary: fibres turn to ``--helix-outflow``
-    #: there, and the apicobasal direction leads to these valves.
+    #: Ends of the outflow tracts, such as aortic + pulmonary: helix angles change to ``--helix-
+    #: outflow`` there, and the apicobasal direction points towards ``--base`` and these ends.
     outflow: str
     #: Position, mm, in the frame of the output: the apex is the nearest point of the muscle that is
     #: not on the base or ``--outflow``.

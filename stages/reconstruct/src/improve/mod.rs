@@ -71,8 +71,8 @@ pub struct ImproveOptions<'a> {
     /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
-    /// For each vertex, whether it may change. If given, triangles without such a vertex keep their
-    /// corners.
+    /// For each vertex, whether it may change. If given, all other vertices are frozen: they do not
+    /// move, and their triangles keep their corners.
     pub within: Option<&'a [bool]>,
     /// Whether the lengths of the edges between vertices that may change are first adjusted to h by
     /// splits and collapses, also along junction curves.

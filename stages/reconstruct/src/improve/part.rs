@@ -1,5 +1,5 @@
-//! The part of a mesh that an update may change, as a surface of its own. The work then depends on
-//! the size of the part, not on that of the mesh.
+//! A copy of the triangles near the vertices that may change, as a separate surface. The time of
+//! the edits then depends on the size of the copy, not on that of the mesh.
 
 use super::SheetsOf;
 use super::surface::{DEAD, Size, Surface, compacted};
@@ -7,8 +7,8 @@ use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Margin around the triangles that may change, in units of the longest side of their box. New
-/// vertices may lie outside the box.
+/// Margin of [`Part::region`] around the box of the triangles that may change, in units of the
+/// longest side of this box. It leaves room for new vertices.
 const MARGIN: f64 = 0.5;
 
 /// The part of a mesh that meets a box.
@@ -17,6 +17,7 @@ pub(super) struct Part {
     vertices: Vec<u32>,
     /// Index in the mesh of each triangle of the part, ascending.
     triangles: Vec<u32>,
+    /// The box in which the part may change.
     region: Bounds,
 }
 

@@ -45,9 +45,8 @@ pub(crate) fn compute(
     finished(&made, given, &told, &options, context)
 }
 
-/// Returns an error if a surface has failed a check. An update takes the junction curves, and the
-/// vertices at which strata are merged, from the surface itself. It could not find the faults of
-/// those again.
+/// Returns an error if a surface has failed a check. An update takes the junction curves and the
+/// merged vertices from the surface, so its checks cannot find their faults.
 ///
 /// # Errors
 /// If the metadata lists a failed check or cannot be read.
@@ -57,7 +56,7 @@ pub(crate) fn refuse_failed(args: &Args, previous: &SurfaceFile) -> Result<()> {
         None => Ok(()),
         Some(first) => Err(Error::input(
             format!("{}: has failed a check: {first}", args.particles.display()),
-            "an update of many materials takes the junction curves from the surface, and would accept their faults",
+            "an update takes the junction curves from the surface, and its checks cannot find their faults",
             "update a surface that has passed, or change the options of the stages until this one does",
         )),
     }

@@ -11,7 +11,7 @@
 //! | edges that become segments where strata are merged, redundant segments dropped | `unite` |
 //! | short segments of curves contracted at a scale | `contract` |
 //! | improvement of the triangles | [`improve`] |
-//! | segments contracted that still force poor triangles | `simplify` |
+//! | contraction of segments that still limit the quality | `simplify` |
 //! | components of the materials | [`pieces`] |
 //! | all steps in order; the results for the program | [`reconstruct`], `compute` |
 //! | update where h has changed | [`update`] |

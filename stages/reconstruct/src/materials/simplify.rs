@@ -1,5 +1,5 @@
-//! Contracts the segments of junction curves that still force poor triangles after an improvement,
-//! and improves their surroundings again.
+//! Contracts the segments of junction curves that still limit the quality of triangles after an
+//! improvement, and improves their surroundings again.
 
 use super::contract::{Which, contract};
 use super::improve::improve;
@@ -15,8 +15,9 @@ use isoparticles_stage::error::Result;
 const MOST_ROUNDS: usize = 3;
 
 /// Contracts segments and improves the triangles near the contractions, until no segment can be
-/// contracted or [`MOST_ROUNDS`] is reached. The improvements use `options` and are added to
-/// `report`. Returns the number of contractions.
+/// contracted or [`MOST_ROUNDS`] is reached. The improvements use `options`, within these
+/// surroundings. `report` gets the sum of the moves and the final quality. Returns the number of
+/// contractions.
 ///
 /// # Errors
 /// Those of [`improve`].
@@ -30,7 +31,7 @@ pub(super) fn simplify(
     let mut count = 0;
     for _ in 0..MOST_ROUNDS {
         let mut dimensions = interfaces.dimensions();
-        let points = contract(interfaces, &mut dimensions, Which::Forcing, size);
+        let points = contract(interfaces, &mut dimensions, Which::Limiting, size);
         if points.is_empty() {
             break;
         }

@@ -75,7 +75,7 @@ def view(
     -------
     object
         In a notebook, an IFrame, whose attribute ``page.control.session.mesh`` is the present mesh.
-        It ends an earlier page of the same folder or ``port`` in the notebook.
+        An earlier page of the same folder or ``port`` in the notebook ends.
         Elsewhere, the page itself, with the attribute ``control.session.mesh``; the function then
         returns after Ctrl-C.
 

@@ -104,7 +104,7 @@ class Page:
 
     def _ready(self, **_: Any) -> None:
         self._tasks = [asyncio.get_running_loop().create_task(self.control.watch())]
-        # trame never sends a variable that a browser has read between its change and a flush
+        # if a browser reads a variable between its change and a flush, trame never sends it
         with self.control.state:
             if self.control.shown.mesh is None and self.control.shown.volume is not None:
                 self.choice.changed()

@@ -142,7 +142,7 @@ class PageServer:
         """Close the port at once, and the idle connections."""
         if self._listener is not None:
             self._listener.close()
-            # a browser would send the requests for the next page at this port on them
+            # browsers would use them again for the next page at this port
             if self._wslink.runner.server is not None:
                 self._wslink.runner.server.pre_shutdown()
         self._socket.close()

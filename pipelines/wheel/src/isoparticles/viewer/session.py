@@ -172,7 +172,7 @@ class Session:
             self.waiting.pop(0)
 
     def prepare(self) -> None:
-        """Derive what updates need from the field. Otherwise, the first update would do it."""
+        """Derive the data that all updates of the field share, so that the first one is faster."""
         mesh = self.mesh
         # without a change of h, nothing else happens; an error would appear in the update as well
         with contextlib.suppress(Error):

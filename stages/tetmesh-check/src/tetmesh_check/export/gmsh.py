@@ -1,8 +1,9 @@
 """Writes Gmsh 4.1 and 2.2, and MED, with regions and parts of the boundary as groups.
 
-Fields of elements are views in Gmsh 4.1, and fields of elements and points are written to MED. A
-face has the values of the element behind it, because meshio reads only fields of all elements of a
-file. It reads no file of version 2.2 with fields, and mixes up fields of the points of version 4.1.
+Gmsh 4.1 gets the fields of the elements as views. MED also gets those of the points. meshio needs a
+value for each element of a file, so a boundary face gets that of the element behind it. Gmsh 4.1
+gets no fields of points, because meshio mixes them up. Gmsh 2.2 gets no fields, because meshio
+cannot read them.
 
 meshio writes 2.2 and MED (Salome, Code_Aster). It is not used for 4.1: it omits an entity if all
 its nodes belong to other entities, and Gmsh refuses such a file.

@@ -43,7 +43,7 @@ class FibreArguments:
     """The boundaries ``endo``, ``epi`` and ``base``, and optionally ``endo_rv`` and ``outflow``."""
     apex: tuple[float, float, float] | None
     """A position near the apex, mm, in the world frame of the output; by default, the point of the
-    epicardium that is farthest from the base."""
+    epicardium that is farthest from the base and ``outflow``."""
     helix: Angles
     """Angles from the circumferential direction to the fibre."""
     sheet: Angles

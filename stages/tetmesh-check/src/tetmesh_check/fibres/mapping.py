@@ -109,8 +109,8 @@ def _harmonic(muscle: _Muscle, values: Values) -> Harmonic:
     return Harmonic(values[corners].mean(axis=0), np.column_stack(gradients))
 
 
-def _joined(muscle: _Muscle, *names: str) -> Labels:
-    """Return the points on those of some boundaries that there are."""
+def _points_on(muscle: _Muscle, *names: str) -> Labels:
+    """Return the points on the named boundaries. Boundaries that are not given are skipped."""
     return np.concatenate([muscle.nodes[name] for name in names if name in muscle.nodes])
 
 
@@ -131,11 +131,11 @@ def _apicobasal(muscle: _Muscle, up: Points, apex: Labels, base: Labels) -> Valu
 
 
 def _along(muscle: _Muscle, apex: Labels) -> tuple[Points, Values]:
-    """Return apicobasal gradients, and the share of the ventricles in the angles, by Doste et al.
+    """Return apicobasal gradients, and the weight of the ventricles in the angles (Doste et al.).
 
-    The share is 0 at ``outflow`` and 1 at ``base`` and near the apex, and harmonic in between. A
-    point is near the apex if the outflow tracts are farther away. In the paper, the share is 1 at
-    the apex only. Its influence would depend on the size of the tetrahedra.
+    The weight is harmonic: 0 at ``outflow``, and 1 at ``base`` and at points that are closer to the
+    apex than to ``outflow``. In the paper, it is 1 at the apex only. The effect of a single point
+    depends on the size of the tetrahedra.
     """
     base, outflow = muscle.nodes["base"], muscle.nodes.get("outflow")
     up = _harmonic(muscle, _solve(muscle, [(base, 1.0), (apex, 0.0)])).gradients
@@ -211,7 +211,8 @@ def map_fibres(
     coordinates = _coordinates(muscle, along, apex)
     epi, rv = _harmonic(muscle, coordinates["transmural"]), None
     if "endo_rv" in muscle.nodes:
-        rv = _harmonic(muscle, _solve(muscle, [(_joined(muscle, "endo", "epi"), 0.0), (muscle.nodes["endo_rv"], 1.0)]))
+        ends = [(_points_on(muscle, "endo", "epi"), 0.0), (muscle.nodes["endo_rv"], 1.0)]
+        rv = _harmonic(muscle, _solve(muscle, ends))
     vectors = directions(along, epi, rv, *_angles(arguments, epi.values, share))
     named = zip(("fibre", "sheet", "sheet_normal"), vectors, strict=True)
     fields = {name: _spread(found, muscle.cells, len(mesh.regions), 0.0) for name, found in named}
@@ -226,8 +227,8 @@ def _coordinates(muscle: _Muscle, along: Points, apex: Labels) -> dict[str, Valu
     """Return the coordinates of the points by name."""
     nodes = muscle.nodes
     found = {
-        "apicobasal": _apicobasal(muscle, along, apex, _joined(muscle, "base", "outflow")),
-        "transmural": _solve(muscle, [(_joined(muscle, "endo", "endo_rv"), 0.0), (nodes["epi"], 1.0)]),
+        "apicobasal": _apicobasal(muscle, along, apex, _points_on(muscle, "base", "outflow")),
+        "transmural": _solve(muscle, [(_points_on(muscle, "endo", "endo_rv"), 0.0), (nodes["epi"], 1.0)]),
         "rotational": _rotational(muscle, muscle.basis.mesh.p.T[apex[0]]),
     }
     if "endo_rv" in nodes:
@@ -244,7 +245,7 @@ def _spread(values: Values, where: Labels, count: int, rest: float) -> Values:
 
 def _apex(muscle: _Muscle, wanted: tuple[float, float, float] | None) -> Labels:
     """Return the point at the apex, shape ``(1,)``: see :attr:`.FibreArguments.apex`."""
-    points, nodes, base = muscle.basis.mesh.p.T, muscle.nodes, _joined(muscle, "base", "outflow")
+    points, nodes, base = muscle.basis.mesh.p.T, muscle.nodes, _points_on(muscle, "base", "outflow")
     if wanted is None:
         away, _ = KDTree(points[base]).query(points[nodes["epi"]])
         return np.asarray(nodes["epi"][[away.argmax()]])

@@ -14,7 +14,7 @@ LAYERS = 5
 
 
 def helix_by_depth(fibre: Points, along: Points, epi: Harmonic, rv: Harmonic | None) -> dict[str, list[dict[str, Any]]]:
-    """Return the helix angles in layers of each wall, from the endocardium outwards.
+    """Return the helix angles in layers of each wall, by depth.
 
     The angles are those to the circumferential direction. The depth is 1 - ``lv`` in the left free
     wall and the septum, and ``epi`` in the right free wall.
