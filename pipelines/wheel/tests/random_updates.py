@@ -21,7 +21,7 @@ import isoparticles as iso
 DELTA = 0.4
 """Default slope of h around a region."""
 RIM = 3
-"""Number of rings of vertices around the places with another h that may move (`update.rs`)."""
+"""Number of rings of vertices around the places with another h that may move (`part.rs`)."""
 
 
 def region(mesh: iso.Mesh, random: np.random.Generator) -> tuple[str, np.ndarray, float]:

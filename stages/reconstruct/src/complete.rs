@@ -41,14 +41,13 @@ pub(crate) struct Completed {
 }
 
 impl Completion<'_> {
-    /// Improves the triangles of a mesh in the grid frame. If `within` is given, it tells for each
-    /// vertex whether it may change, and the lengths of the edges between vertices that may change
-    /// are adjusted to h. Also returns the index of each vertex in the improved mesh (`u32::MAX` if
+    /// Improves the triangles of a mesh in the grid frame. If `around` is given, only the parts of
+    /// the mesh near these vertices may change, and the lengths of their edges are adjusted to h. Also returns the index of each vertex in the improved mesh (`u32::MAX` if
     /// it was removed).
     pub(crate) fn improve(
         &self,
         mesh: &mut TriangleMesh,
-        within: Option<&[bool]>,
+        around: Option<&[bool]>,
         monitor: &dyn Monitor,
     ) -> Result<(ImproveReport, Vec<u32>)> {
         let _phase = monitor.phase("improve");
@@ -58,8 +57,8 @@ impl Completion<'_> {
             // an explicit deviation bound disables thinning
             thins: self.options.max_deviation.is_none(),
             sides: self.options.guarded(self.samples),
-            within,
-            adjusts: within.is_some(),
+            around,
+            adjusts: around.is_some(),
         };
         let held = one_of_each_component(mesh, self.spline, self.topology);
         improve(mesh, &held, self.spline, self.size, &how, &|| Ok(monitor.check()?))

@@ -23,13 +23,6 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Number of rings of vertices that may also change, around the vertices at which h has changed and
-/// around contracted segments.
-/// With 1, 2, 3 and 5 rings, the changed triangles of `heart_label` 1 (20,000 vertices, h = 3.5
-/// instead of 1.86 mm in a ball of 14 mm) reach a mean radius ratio of 0.937, 0.944, 0.951 and
-/// 0.951. With a smaller h, one ring is as good as three.
-const RIM: usize = 3;
-
 /// Relative differences of h up to this value are due to rounding. Without a change, the same f32
 /// samples are interpolated, at a position that rounding has changed by a relative 1e-15.
 const SAME_SIZE: f64 = 1e-6;
@@ -86,10 +79,10 @@ pub fn update(
     let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > FARTHEST * spline.voxel();
     check_belongs(&mesh, mesh.vertices.par_iter().filter(is_far).count(), "F = 0")?;
     let size = |p: DVec3| sizing.at(p);
-    let within = changing(&mesh, &sizes_of(previous)?, &size);
+    let around = with_another_size(&mesh, &sizes_of(previous)?, &size);
     let before = mesh.vertices.clone();
     let completion = Completion { spline, topology, samples: field, size: &size, options };
-    let (improved, numbers) = completion.improve(&mut mesh, Some(&within), monitor)?;
+    let (improved, numbers) = completion.improve(&mut mesh, Some(&around), monitor)?;
     let (mesh, completed) = completion.check(mesh, None, monitor)?;
     let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
     let kept = kept(&previous.mesh, &before, &mesh, &numbers);
@@ -142,24 +135,14 @@ pub(crate) fn check_belongs(mesh: &TriangleMesh, far: usize, target: &str) -> Re
     ))
 }
 
-/// Returns whether each vertex may change: `size` differs from `before`, the previous h, there or
-/// at a vertex at most [`RIM`] edges away.
-pub(crate) fn changing(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
+/// Returns whether `size` differs from `before`, the previous h, at each vertex.
+pub(crate) fn with_another_size(
+    mesh: &TriangleMesh,
+    before: &[f64],
+    size: &(dyn Fn(DVec3) -> f64 + Sync),
+) -> Vec<bool> {
     let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
-    let mut changes: Vec<bool> = mesh.vertices.par_iter().zip(before).map(differs).collect();
-    add_rings(&mut changes, mesh);
-    changes
-}
-
-/// Marks all vertices that are at most [`RIM`] edges away from a marked vertex.
-pub(crate) fn add_rings(marked: &mut Vec<bool>, mesh: &TriangleMesh) {
-    for _ in 0..RIM {
-        let mut next = marked.clone();
-        for corners in mesh.triangles.iter().filter(|corners| corners.iter().any(|&v| marked[v as usize])) {
-            corners.iter().for_each(|&v| next[v as usize] = true);
-        }
-        *marked = next;
-    }
+    mesh.vertices.par_iter().zip(before).map(differs).collect()
 }
 
 #[cfg(test)]

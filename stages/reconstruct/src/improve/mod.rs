@@ -71,9 +71,10 @@ pub struct ImproveOptions<'a> {
     /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
-    /// For each vertex, whether it may change. If given, all other vertices are frozen: they do not
-    /// move, and their triangles keep their corners.
-    pub within: Option<&'a [bool]>,
+    /// For each vertex, whether the mesh may change around it, up to three rings of vertices away. If
+    /// given, all other vertices are frozen: they do not move, and their triangles keep their
+    /// corners.
+    pub around: Option<&'a [bool]>,
     /// Whether the lengths of the edges between vertices that may change are first adjusted to h by
     /// splits and collapses, also along junction curves.
     pub adjusts: bool,
@@ -81,7 +82,7 @@ pub struct ImproveOptions<'a> {
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, within: None, adjusts: false }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, around: None, adjusts: false }
     }
 }
 
@@ -131,7 +132,7 @@ pub struct ImproveReport {
     /// Number of triangles with a radius ratio below the target after.
     pub below_target: usize,
     /// Number of frozen vertices: those inside an interface whose triangles do not form one closed
-    /// fan. 0 for an update.
+    /// fan and, if only a part of the mesh may change, those nearby that may not.
     pub frozen_vertices: usize,
     /// Numbers of grid nodes on the wrong side before and after; `None` if nodes are not guarded.
     pub nodes_on_wrong_side: Option<[usize; 2]>,
@@ -193,43 +194,29 @@ pub fn improve_sheets(
     options: &ImproveOptions,
     step: Step,
 ) -> Result<ImproveReport> {
-    if !mesh.is_well_formed() {
-        return Err(Error::input(
-            "the mesh has a coordinate that is not a finite number, or a triangle names a vertex that does not exist",
-            "nothing can be measured on such a mesh",
-            "reconstruct it again; if it comes from a file, the file is damaged",
-        ));
-    }
-    if let Some(p) = mesh.vertices.par_iter().find_first(|&&p| !(size(p) > 0.0 && size(p).is_finite())) {
-        return Err(Error::input(
-            format!("the target edge length at {p} is {}", size(*p)),
-            "edge lengths are measured against it",
-            "give a size field that is positive everywhere on the surface",
-        ));
-    }
+    check_inputs(mesh, size)?;
     let below = |mesh: &TriangleMesh| {
         isoparticles_mesh::quality::radius_ratios(mesh).iter().filter(|&&q| q < options.target).count()
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
-    let part = options.within.map(|within| (Part::near(mesh, within), within));
+    let part = options.around.map(|around| Part::near(mesh, around));
     let mut surface = match &part {
-        Some((part, within)) => part.surface(mesh, sheets, within, size),
+        Some(part) => part.surface(mesh, sheets, size),
         None => Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.freedom.clone(), sheets.field, size),
     };
-    surface.sides = match (options.sides, &sheets.wrong_nodes) {
+    report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
+    let sides = match (options.sides, &sheets.wrong_nodes) {
         (Some(image), _) => Some(NodeSides::new(mesh, image)),
         (None, Some((geometry, wrong))) => Some(NodeSides::of(geometry, wrong.iter().copied())),
         (None, None) => None,
     };
-    let count = |surface: &Surface| surface.sides.as_ref().map(NodeSides::wrong_count);
-    let wrong_before = count(&surface);
-    if let Some(region) = surface.region {
-        surface.sides = surface.sides.map(|sides| sides.within(&region));
-    } else {
-        report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
-    }
-    let wrong_inside = count(&surface);
+    let wrong_before = sides.as_ref().map(NodeSides::wrong_count);
+    surface.sides = sides.map(|sides| match surface.region {
+        Some(region) => sides.within(&region),
+        None => sides,
+    });
+    let wrong_inside = surface.sides.as_ref().map(NodeSides::wrong_count);
 
     let limits = Limits::STRICT;
     let tally = &mut report.moves;
@@ -247,13 +234,32 @@ pub fn improve_sheets(
         optimise::optimise(&mut surface, options.target, step, tally)?;
     }
 
-    let counts = wrong_before.zip(wrong_inside).zip(count(&surface));
+    let counts = wrong_before.zip(wrong_inside).zip(surface.sides.as_ref().map(NodeSides::wrong_count));
     report.nodes_on_wrong_side = counts.map(|((all, inside), after)| [all, all - inside + after]);
     (*mesh, sheets.of_triangle, sheets.numbers) = match part {
-        Some((part, _)) => part.put_back(surface, std::mem::take(mesh), std::mem::take(&mut sheets.of_triangle)),
+        Some(part) => part.put_back(surface, std::mem::take(mesh), std::mem::take(&mut sheets.of_triangle)),
         None => surface.into_sheets(),
     };
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)
+}
+
+/// Returns an error if the mesh is not well-formed, or if h is not positive and finite at a vertex.
+fn check_inputs(mesh: &TriangleMesh, size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Result<()> {
+    if !mesh.is_well_formed() {
+        return Err(Error::input(
+            "the mesh has a coordinate that is not a finite number, or a triangle names a vertex that does not exist",
+            "nothing can be measured on such a mesh",
+            "reconstruct it again; if it comes from a file, the file is damaged",
+        ));
+    }
+    if let Some(p) = mesh.vertices.par_iter().find_first(|&&p| !(size(p) > 0.0 && size(p).is_finite())) {
+        return Err(Error::input(
+            format!("the target edge length at {p} is {}", size(*p)),
+            "edge lengths are measured against it",
+            "give a size field that is positive everywhere on the surface",
+        ));
+    }
+    Ok(())
 }

@@ -57,7 +57,7 @@ pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &Ch
 
 /// Options that improve triangles below 0.6 without sweeps.
 const WORST_ONLY: ImproveOptions =
-    ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, sides: None, within: None, adjusts: false };
+    ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, sides: None, around: None, adjusts: false };
 
 /// Remeshes a mesh of marching cubes to edges of length h, as patches are remeshed, and improves
 /// it. If `sides` is given, the grid nodes keep their sides.

@@ -5,7 +5,6 @@ use super::contract::{Which, contract};
 use super::improve::improve;
 use crate::improve::{ImproveOptions, ImproveReport, Step};
 use crate::interfaces::Interfaces;
-use crate::update::add_rings;
 use glam::DVec3;
 use isoparticles_field::materials::Indicators;
 use isoparticles_stage::error::Result;
@@ -36,10 +35,9 @@ pub(super) fn simplify(
             break;
         }
         count += points.len();
-        let mut within = vec![false; interfaces.mesh.vertices.len()];
-        points.iter().for_each(|&v| within[v as usize] = true);
-        add_rings(&mut within, &interfaces.mesh);
-        let options = ImproveOptions { within: Some(&within), ..*options };
+        let mut around = vec![false; interfaces.mesh.vertices.len()];
+        points.iter().for_each(|&v| around[v as usize] = true);
+        let options = ImproveOptions { around: Some(&around), ..*options };
         let (next, _) = improve(interfaces, &dimensions, indicators, None, size, &options, step)?;
         report.moves += next.moves;
         (report.after, report.below_target) = (next.after, next.below_target);

@@ -8,7 +8,7 @@ use crate::improve::ImproveOptions;
 use crate::interfaces::{Interfaces, Joined};
 use crate::materials::each::SIDES;
 use crate::options::Options;
-use crate::update::{FARTHEST, changing, check_belongs, kept, sizes_of};
+use crate::update::{FARTHEST, check_belongs, kept, sizes_of, with_another_size};
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, Material, MaterialId};
 use isoparticles_field::sizing::SizingField;
@@ -41,13 +41,13 @@ pub fn update(
 
     let phase = monitor.phase("improve");
     let size = |p: DVec3| sizing.at(p);
-    let within = changing(&interfaces.mesh, &sizes_of(previous)?, &size);
+    let around = with_another_size(&interfaces.mesh, &sizes_of(previous)?, &size);
     let how = ImproveOptions {
         target: options.improve_below,
         relaxation_sweeps: options.relaxation_sweeps,
         thins: false,
         sides: None,
-        within: Some(&within),
+        around: Some(&around),
         adjusts: true,
     };
     let dimensions = interfaces.dimensions();
