@@ -138,6 +138,8 @@ pub struct StageCost {
     pub seconds: f64,
     /// Peak memory in bytes.
     pub bytes: f64,
+    /// Increase of the peak memory with each further vertex, in bytes.
+    pub bytes_per_vertex: f64,
 }
 
 /// Predicts the cost of an object from its boundary and its number of connected parts (assumed to
@@ -154,7 +156,8 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
         let [by_itself, each @ ..] = rates.seconds;
         let [node, face, vertex] = each.map(|seconds| 1e-6 * seconds);
         let bytes = rates.bytes.iter().map(total).fold(0.0, f64::max);
-        StageCost { stage: rates.stage, seconds: total(&[by_itself, node, face, vertex]), bytes }
+        let bytes_per_vertex = rates.bytes.iter().map(|rates| rates[3]).fold(0.0, f64::max);
+        StageCost { stage: rates.stage, seconds: total(&[by_itself, node, face, vertex]), bytes, bytes_per_vertex }
     });
     let voxel = geometry.mean_spacing();
     let uniform = SIZES.map(|voxels| {

@@ -23,9 +23,6 @@ PREVIEW = 80
 """Maximum number of voxels of the preview along an axis. Extracting its surface takes 0.05 s."""
 SETTLED = 0.3
 """Seconds without a change after which the cost is predicted."""
-VERTEX_BYTES = 1034.0
-"""Memory of the triangles for each vertex; see ``RATES`` in common/survey/src/cost.rs. The other
-stages before the tetrahedra need less."""
 
 
 class Choice:
@@ -200,11 +197,11 @@ def scaled(cost: dict[str, Any], vertices: int) -> tuple[float, float]:
     """Return processor time and memory of the surface for a number of vertices.
 
     ``info`` predicts the cost for the default sizes. The time of the stages after the fields is
-    scaled by the number of vertices. Each further vertex adds ``VERTEX_BYTES`` to the memory, which
-    is an upper estimate for fewer vertices.
+    scaled by the number of vertices. Each further vertex adds memory; fewer vertices do not reduce
+    the estimate.
     """
     share = vertices / max(cost["vertices"], 1)
     stages = {stage["stage"]: stage for stage in cost["stages"] if stage["stage"] != "tetrahedra"}
     seconds = sum(stage["seconds"] * (1.0 if name == "fields" else share) for name, stage in stages.items())
     further = max(vertices - cost["vertices"], 0)
-    return seconds, max(stage["bytes"] for stage in stages.values()) + VERTEX_BYTES * further
+    return seconds, max(stage["bytes"] + stage["bytes_per_vertex"] * further for stage in stages.values())
