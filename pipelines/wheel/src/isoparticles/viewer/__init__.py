@@ -110,9 +110,9 @@ def view(
 
 def _close_pages(folder: Path | None, port: int) -> None:
     """End the pages of this notebook that show the folder or have the port."""
-    place = None if folder is None else folder.resolve()
+    locked = None if folder is None else folder.resolve()
     for page in list(_pages):
-        if page.web.port == port or (place is not None and page.place == place):
+        if page.web.port == port or (locked is not None and page.locked_folder == locked):
             _pages.remove(page)
             page.close()
 

@@ -54,7 +54,7 @@ class Page:
         return self.web.address
 
     @property
-    def place(self) -> Path | None:
+    def locked_folder(self) -> Path | None:
         """The absolute path of the folder that the page has locked; None for a mesh in memory."""
         folder = self.control.shown.folder
         return None if folder is None else folder.resolve()
