@@ -222,7 +222,7 @@ def test_updates_are_those_of_a_case(iso: ModuleType, scripts: Path, tmp_path: P
     # its junction curves would be taken from the surface, with their faults
     failed = iso.reconstruct(first.particles, first.field, first.size, min_radius_ratio=0.99)
     assert failed.failed_checks
-    with pytest.raises(iso.Error, match="has failed a check"):
+    with pytest.raises(iso.Error, match="a check has failed"):
         iso.reconstruct(failed, first.field, last.size)
 
 

@@ -55,7 +55,7 @@ pub(crate) fn refuse_failed(args: &Args, previous: &SurfaceFile) -> Result<()> {
     match told.failed_checks.first() {
         None => Ok(()),
         Some(first) => Err(Error::input(
-            format!("{}: has failed a check: {first}", args.particles.display()),
+            format!("{}: a check has failed: {first}", args.particles.display()),
             "an update takes the junction curves from the surface, and its checks cannot find their faults",
             "update a surface that has passed, or change the options of the stages until this one does",
         )),
