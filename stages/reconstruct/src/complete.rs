@@ -41,9 +41,9 @@ pub(crate) struct Completed {
 }
 
 impl Completion<'_> {
-    /// Improves the triangles of a mesh in the grid frame. If `around` is given, only the parts of
-    /// the mesh near these vertices may change, and the lengths of their edges are adjusted to h. Also returns the index of each vertex in the improved mesh (`u32::MAX` if
-    /// it was removed).
+    /// Improves the triangles of a mesh in the grid frame. If `around` is given, the mesh changes
+    /// only near these vertices, and the lengths of the edges there are adjusted to h. Also returns
+    /// the index of each vertex in the improved mesh (`u32::MAX` if it was removed).
     pub(crate) fn improve(
         &self,
         mesh: &mut TriangleMesh,

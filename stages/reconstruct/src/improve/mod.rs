@@ -71,9 +71,8 @@ pub struct ImproveOptions<'a> {
     /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
     /// never increases (label maps).
     pub sides: Option<&'a Image<f32>>,
-    /// For each vertex, whether the mesh may change around it, up to three rings of vertices away. If
-    /// given, all other vertices are frozen: they do not move, and their triangles keep their
-    /// corners.
+    /// For each vertex, whether the mesh may change there and up to three edges away. If given, all
+    /// other vertices are frozen: they do not move, and their triangles keep their corners.
     pub around: Option<&'a [bool]>,
     /// Whether the lengths of the edges between vertices that may change are first adjusted to h by
     /// splits and collapses, also along junction curves.

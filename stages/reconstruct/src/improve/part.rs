@@ -7,9 +7,10 @@ use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Number of rings of vertices that may also change. With 1, 2, 3 and 5 rings, the changed triangles
-/// of `heart_label` 1 (20,000 vertices, h = 3.5 instead of 1.86 mm in a ball of 14 mm) reach a mean
-/// radius ratio of 0.937, 0.944, 0.951 and 0.951. With a smaller h, one ring is as good as three.
+/// Number of rings of vertices that may also change. With 1, 2, 3 and 5 rings, the changed
+/// triangles of `heart_label` 1 (20,000 vertices, h = 3.5 instead of 1.86 mm in a ball of 14 mm)
+/// reach a mean radius ratio of 0.937, 0.944, 0.951 and 0.951. With a smaller h, one ring is as
+/// good as three.
 const RIM: usize = 3;
 
 /// Margin of [`Part::region`] around the box of the triangles that may change, in units of the

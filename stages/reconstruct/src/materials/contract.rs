@@ -17,9 +17,9 @@ use isoparticles_mesh::spatial::{Bins, Bounds};
 use std::collections::BTreeMap;
 
 /// Fraction s of h below which [`Which::Short`] selects a segment. A triangle on such a segment
-/// between fixed vertices with two sides of length h has a radius ratio of s (2 - s) = 0.44. Without
-/// these contractions, the improvement of `brain_parcellation` at 100,000 vertices takes 49 instead
-/// of 13 s, because the queue tries to mend the triangles on these segments.
+/// between fixed vertices with two sides of length h has a radius ratio of s (2 - s) = 0.44.
+/// Without these contractions, the improvement of `brain_parcellation` at 100,000 vertices takes 49
+/// instead of 13 s.
 const SHORT_SEGMENT: f64 = 0.25;
 
 /// Radius ratio below which [`Which::Limiting`] selects the sides of a triangle. After the first
