@@ -27,18 +27,14 @@ fn main() -> Result<()> {
     let fields = Fields { surface: &surface, sizing: &sizing };
     let (particles, summary) = settle(&seeds, None, &fields, &Parameters::default(), |_, _| Ok(()))?;
     let options = Options { keeps_voxels: true, ..Options::default() };
-    let made = reconstruct(&particles, &distance, Some(&sizing), &options, &Silent)?;
+    let made = reconstruct(&particles, (&surface, &distance), Some(&sizing), &options, &Silent)?;
     println!(
         "{} seeds, {} particles after {} passes",
         seeds.positions.len(),
         particles.positions.len(),
         summary.passes
     );
-    println!(
-        "{} triangles, mean radius ratio {:.3}",
-        made.mesh.triangles.len(),
-        made.checked.quality.radius_ratio_mean
-    );
+    println!("{} triangles, mean radius ratio {:.3}", made.checked.triangles, made.checked.quality.radius_ratio_mean);
     println!("failed checks: {:?}", made.failed);
     Ok(())
 }

@@ -3,6 +3,7 @@
 
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::shapes::icosphere;
 use isoparticles_reconstruct::{Options, reconstruct};
 use isoparticles_stage::error::Result;
@@ -21,9 +22,11 @@ fn main() -> Result<()> {
         energies: vec![0.0; points.len()],
         lambdas: vec![0.1; points.len()],
     };
-    let made = reconstruct(&particles, &field, None, &Options::default(), &Silent)?;
-    let (volume, quality) = (made.checked.object().volume, &made.checked.quality);
-    println!("{} triangles, Euler characteristic {}", made.mesh.triangles.len(), made.topology.euler);
+    let spline = CubicSpline::new(&field);
+    let made = reconstruct(&particles, (&spline, &field), None, &Options::default(), &Silent)?;
+    let (object, quality) = (made.checked.object(), &made.checked.quality);
+    let volume = object.volume;
+    println!("{} triangles, Euler characteristic {}", made.checked.triangles, object.euler);
     println!("volume {volume:.1} mm^3 of {:.1}", 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3));
     println!("radius ratio: mean {:.3}, smallest {:.3}", quality.radius_ratio_mean, quality.radius_ratio_min);
     println!("failed checks: {:?}", made.failed);

@@ -1,13 +1,11 @@
 //! The arguments of the program.
 
-use crate::check::MIN_RADIUS_RATIO;
-use crate::options::{Method, Options};
+use crate::options::{MIN_RADIUS_RATIO, Method, Options};
 use isoparticles_mesh::surface::check_surface_name;
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, FILES, METHOD, StageArgs};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::meta::{Border, DistanceMeta};
 use isoparticles_stage::space::SpaceChoice;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -102,14 +100,8 @@ pub struct Args {
 }
 
 impl Args {
-    /// Returns the options for a distance field with this metadata.
-    pub(crate) fn options(&self, told: &DistanceMeta) -> Options {
-        let (keeps_voxels, open_border) = (told.keeps_voxels(), told.border == Some(Border::Open));
-        Options { keeps_voxels, open_border, ..self.general_options() }
-    }
-
-    /// Returns the options for a field that do not depend on its metadata.
-    pub(crate) fn general_options(&self) -> Options {
+    /// Returns the options that do not depend on the metadata of the field.
+    pub(crate) fn options(&self) -> Options {
         Options {
             method: self.method,
             max_deviation: self.max_deviation,

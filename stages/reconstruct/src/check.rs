@@ -10,10 +10,11 @@ mod forced;
 mod report;
 
 use crate::interfaces::{Interfaces, Segment};
+use crate::subject::Subject;
 use forced::is_forced;
 use glam::DVec3;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::materials::complex::SAME_JUNCTION;
-use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::intersect::self_intersections;
@@ -21,41 +22,21 @@ use isoparticles_mesh::measure::{measure, measure_components};
 use isoparticles_mesh::quality::{radius_ratios, summarise, zero_area_triangles};
 use isoparticles_mesh::topology::{Topology, analyse};
 use isoparticles_stage::cli::values::significant;
-use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 pub use report::{
     CheckReport, ComponentReport, DistanceSummary, Fault, ForcedTriangle, JunctionReport, PairReport, RegionReport,
     Simplices,
 };
 
-/// Default minimum radius ratio of the check (`--min-radius-ratio`).
-pub const MIN_RADIUS_RATIO: f64 = 0.3;
-
 /// Remedies for triangles that the junction curves force below the minimum radius ratio.
 const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
                       --accept-forced (ACCEPT_FORCED=yes) accepts them";
 
-/// Reference for the checks, in the grid frame of the mesh.
-pub trait Truth: Sync {
-    /// Returns the grid.
-    fn geometry(&self) -> &Geometry;
-
-    /// Returns the value and the gradient of the function of an interface. The function is zero on
-    /// the interface and negative in the first of its two materials.
-    fn value_gradient(&self, between: [MaterialId; 2], p: DVec3) -> (f64, DVec3);
-
-    /// Returns the grid nodes (x fastest, ascending) that are in another material in the mesh, or
-    /// `None` if nodes are not compared.
-    fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>>;
-}
-
 /// The reference for the checks, and the limits.
 #[derive(Clone, Copy, Default)]
 pub struct CheckOptions<'a> {
-    /// The interface functions and the grid nodes, if the mesh is compared with them.
-    pub truth: Option<&'a dyn Truth>,
-    /// Names of the materials, by material number; empty for one object.
-    pub table: &'a [Material],
+    /// The field or the indicators, if the mesh is compared with them.
+    pub truth: Option<&'a dyn Subject>,
     /// Whether grid nodes in another material fail the check.
     pub keeps_nodes: bool,
     /// Minimum radius ratio; `None` means any.
@@ -162,11 +143,11 @@ struct Centroid {
 }
 
 impl Centroid {
-    fn all(interfaces: &Interfaces, truth: &dyn Truth) -> Vec<Self> {
+    fn all(interfaces: &Interfaces, truth: &dyn Subject) -> Vec<Self> {
         let voxel = truth.geometry().mean_spacing();
         let of = |t: usize| {
             let [a, b, c] = interfaces.mesh.corners(t);
-            let (value, gradient) = truth.value_gradient(interfaces.between[t], (a + b + c) / 3.0);
+            let (value, gradient) = truth.functions().value_gradient(interfaces.between[t], (a + b + c) / 3.0);
             let flux = 0.5 * (b - a).cross(c - a).dot(gradient.normalize_or_zero());
             Self { distance: distance_estimate(value, gradient).abs() / voxel, flux }
         };
@@ -184,7 +165,8 @@ fn merged<'a, T: Copy + Ord + 'a>(lists: impl Iterator<Item = &'a Vec<T>>) -> Ve
 
 impl Checker<'_> {
     fn name(&self, id: MaterialId) -> String {
-        let name = self.options.table.get(id.index()).map(|material| material.name.clone());
+        let table = self.options.truth.map_or(&[][..], |truth| truth.table());
+        let name = table.get(id.index()).map(|material| material.name.clone());
         name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
     }
 
@@ -303,11 +285,11 @@ impl Checker<'_> {
     }
 
     /// Measures the distances of vertices and centroids from their interfaces.
-    fn check_distances(&self, truth: &dyn Truth, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
+    fn check_distances(&self, truth: &dyn Subject, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
         let Interfaces { mesh, joined, .. } = self.interfaces;
         let voxel = truth.geometry().mean_spacing();
         let distance = |&(v, pair): &(u32, [MaterialId; 2])| {
-            let (value, gradient) = truth.value_gradient(pair, mesh.vertices[v as usize]);
+            let (value, gradient) = truth.functions().value_gradient(pair, mesh.vertices[v as usize]);
             let distance = distance_estimate(value, gradient).abs() / voxel;
             if distance.is_nan() { f64::INFINITY } else { distance }
         };
@@ -391,10 +373,11 @@ impl Checker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::complete::ObjectTruth;
+    use crate::subject::Object;
     use isoparticles_field::spline::CubicSpline;
+    use isoparticles_field::topology::FieldTopology;
     use isoparticles_mesh::shapes;
-    use isoparticles_volume::Image;
+    use isoparticles_volume::{Geometry, Image};
 
     fn ball(radius: f64) -> (Image<f32>, TriangleMesh) {
         let geometry = Geometry::axis_aligned([24; 3], DVec3::splat(0.5));
@@ -421,7 +404,7 @@ mod tests {
         let (image, mesh) = ball(4.0);
         let field = CubicSpline::new(&image);
         let options = CheckOptions {
-            truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }),
+            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
             min_radius_ratio: Some(0.8),
             max_vertex_distance: Some(0.01),
             ..CheckOptions::default()
@@ -442,8 +425,9 @@ mod tests {
     fn every_fault_is_reported() {
         let (image, good) = ball(4.0);
         let field = CubicSpline::new(&image);
+        let topology = FieldTopology::new(&field);
         let options = CheckOptions {
-            truth: Some(&ObjectTruth { field: &field, samples: None }),
+            truth: Some(&Object { field: &field, topology: &topology, samples: None }),
             min_radius_ratio: Some(0.3),
             max_vertex_distance: Some(0.1),
             ..CheckOptions::default()

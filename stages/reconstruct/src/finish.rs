@@ -1,9 +1,12 @@
 //! Computes the data on the vertices and triangles of the finished mesh, and maps it to world
 //! coordinates.
 
+use crate::interfaces::Interfaces;
+use crate::materials::each::SIDES;
 use glam::DVec3;
 use isoparticles_field::curvature::mean_curvature;
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
@@ -67,6 +70,30 @@ pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps:
         DataArray::scalars("deviation", deviation),
         DataArray::integers("cap", cap),
     ];
+    surface
+}
+
+/// Returns the interfaces in the world frame, with attributes of vertices (h, number of materials
+/// that meet) and triangles (the two regions, radius ratio, and the number of the plane in which
+/// the triangle lies, from 1).
+pub(crate) fn attributes_of_materials(interfaces: &Interfaces, sizes: &[f64], geometry: &Geometry) -> Surface {
+    let Interfaces { mesh, between, first_beyond, .. } = interfaces;
+    let mut surface = Surface::from_grid(mesh, geometry);
+    let meeting = interfaces.materials_at_vertices().iter().map(|ids| ids.len() as i64).collect();
+    surface.point_data = vec![DataArray::scalars("h", sizes.to_vec()), DataArray::integers("materials", meeting)];
+    let side = |n: usize| {
+        let of = |t: u32| i64::from(interfaces.regions_of(t)[n].0);
+        (0..between.len() as u32).map(of).collect()
+    };
+    surface.cell_data = vec![
+        DataArray::integers(SIDES[0], side(0)),
+        DataArray::integers(SIDES[1], side(1)),
+        DataArray::scalars("radius_ratio", radius_ratios(mesh)),
+    ];
+    if let Some(first) = first_beyond {
+        let cap = |pair: &[MaterialId; 2]| i64::from((pair[1].0 + 1).saturating_sub(first.0));
+        surface.cell_data.push(DataArray::integers("cap", between.iter().map(cap).collect()));
+    }
     surface
 }
 

@@ -41,7 +41,8 @@ pub(crate) fn one_of_each_component(mesh: &TriangleMesh, field: &CubicSpline, to
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::improve::{ImproveOptions, improve};
+    use crate::improve::ImproveOptions;
+    use crate::improve::tests::improve_object;
     use crate::scenes::Scene;
     use crate::tests::restricted;
     use crate::verdict::TopologyReport;
@@ -86,12 +87,12 @@ mod tests {
             let size = |_: DVec3| 1.2 * spacing;
             let (options, step) = (ImproveOptions::default(), || Ok(()));
             let mut plain = mesh.clone();
-            improve(&mut plain, &[], &scene.field, &size, &options, &step).expect("a sound mesh");
+            improve_object(&mut plain, &[], &scene.field, &size, &options, &step).expect("a sound mesh");
             plain_loses += report(&plain).missing.len();
             let mut kept = mesh;
             let held = one_of_each_component(&kept, &scene.field, &topology);
             assert_eq!(held.len(), 2);
-            improve(&mut kept, &held, &scene.field, &size, &options, &step).expect("a sound mesh");
+            improve_object(&mut kept, &held, &scene.field, &size, &options, &step).expect("a sound mesh");
             assert_eq!(report(&kept).differences(false).0, Vec::<String>::new());
             assert!(summarise(&kept).radius_ratio_min > 0.5, "{:?}", summarise(&kept));
         }

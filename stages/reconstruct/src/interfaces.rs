@@ -16,6 +16,9 @@ pub fn segment(a: u32, b: u32) -> Segment {
     [a.min(b), a.max(b)]
 }
 
+/// An interface: the materials inside and outside of it.
+pub type Interface = [MaterialId; 2];
+
 /// A conforming mesh of all interfaces. Interfaces share the vertices and edges at which they meet.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Interfaces {
@@ -57,6 +60,17 @@ impl Interfaces {
         Self { mesh, between, ..Self::default() }
     }
 
+    /// Returns the surface of one object that consists of some triangles between points, and the
+    /// index of the point of each vertex.
+    pub fn compact_object(points: &[DVec3], triangles: impl Iterator<Item = [u32; 3]>) -> (Self, Vec<u32>) {
+        Self::compact(points, triangles.map(|corners| (corners, OBJECT)).collect())
+    }
+
+    /// Returns whether the mesh has a single interface, so no junction curves.
+    pub fn is_of_object(&self) -> bool {
+        self.between.windows(2).all(|two| two[0] == two[1])
+    }
+
     /// Returns the interfaces that consist of some triangles between points, and the index of the
     /// point of each vertex, ascending. Triangles start with their lowest vertex and are sorted.
     /// The result therefore does not depend on the order of `triangles`, and nearby triangles are
@@ -91,6 +105,9 @@ impl Interfaces {
     /// Returns the edges between different interfaces, ascending, each with the materials of its
     /// triangles (the first four if there are more).
     pub fn edges_of_curves(&self) -> Vec<(Segment, Stratum)> {
+        if self.is_of_object() {
+            return Vec::new();
+        }
         let curve = |own: &[(Segment, u32)]| {
             let mut ids: Vec<MaterialId> = own.iter().flat_map(|(_, t)| self.between[*t as usize]).collect();
             ids.sort_unstable();
@@ -142,6 +159,9 @@ impl Interfaces {
     /// Returns the dimension of the stratum at each vertex: 2 on interfaces, 1 on curves of three
     /// materials, and 0 at points of more.
     pub fn dimensions(&self) -> Vec<usize> {
+        if self.is_of_object() {
+            return vec![2; self.mesh.vertices.len()];
+        }
         self.materials_at_vertices().iter().map(|ids| 4usize.saturating_sub(ids.len())).collect()
     }
 
@@ -199,7 +219,7 @@ impl Interfaces {
     ///
     /// If a saddle of F has exactly the iso value, as in volumes of integers at an integer iso
     /// value, no sampling separates the parts.
-    pub fn part_sheets(&mut self, project: impl Fn([MaterialId; 2], DVec3) -> Option<DVec3>) -> usize {
+    pub fn separate_touching(&mut self, project: impl Fn([MaterialId; 2], DVec3) -> Option<DVec3>) -> usize {
         let mut around: BTreeMap<u32, Vec<u32>> =
             self.touching_vertices().into_iter().map(|v| (v, Vec::new())).collect();
         if around.is_empty() {
@@ -276,7 +296,7 @@ mod tests {
             vertices: [vec![DVec3::ZERO], top.to_vec(), top.map(|p| -p).to_vec()].concat(),
             triangles: vec![[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3], [0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]],
         });
-        let mut part = || touching.part_sheets(|_, p| Some(p));
+        let mut part = || touching.separate_touching(|_, p| Some(p));
         assert_eq!([part(), part()], [1, 0]);
         let mesh = touching.mesh;
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 8));
@@ -295,7 +315,7 @@ mod tests {
         };
         let between = [1, 1, 1, 2, 2, 2].map(|id| [MaterialId(id), MaterialId::OUTSIDE]).to_vec();
         let mut touching = Interfaces { mesh, between, ..Interfaces::default() };
-        assert_eq!(touching.part_sheets(|_, p| Some(p)), 0);
+        assert_eq!(touching.separate_touching(|_, p| Some(p)), 0);
         assert_eq!(touching.materials_at_vertices()[0], [0, 1, 2].map(MaterialId));
         assert_eq!(touching.edges().len(), 18);
     }

@@ -1,10 +1,12 @@
 //! Computes the surface of one object from triangulated points on F = 0, by the restricted Delaunay
 //! triangulation or by Tight Cocone.
 
-use crate::interfaces::{Interfaces, OBJECT};
+use crate::complete::Joining;
+use crate::interfaces::Interfaces;
 use crate::options::{Method, Options};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
-use crate::refine::{RefineOptions, RefineReport, Refinement};
+use crate::queue::Reason;
+use crate::refine::{RefineOptions, Refinement};
 use crate::restricted::Facet;
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
@@ -28,14 +30,8 @@ pub(crate) struct Joined {
     /// The surface in the grid frame.
     pub(crate) interfaces: Interfaces,
     /// All points of the triangulation, and the target edge length at each, mm.
-    pub(crate) sizes: (Vec<DVec3>, Vec<f64>),
-    /// Report of the refinement. With Tight Cocone, the unresolved violations are those of its
-    /// surface.
-    pub(crate) report: RefineReport,
-    /// Report of Tight Cocone, if it is the method.
-    pub(crate) cocone: Option<CoconeReport>,
-    /// Number of vertices at which touching parts of the surface were separated.
-    pub(crate) parted: usize,
+    pub(crate) points: (Vec<DVec3>, Vec<f64>),
+    pub(crate) joining: Joining,
 }
 
 /// Returns the surface of triangulated points on F = 0, by the method in `options`.
@@ -58,7 +54,7 @@ pub(crate) fn join(
     };
     let phase = monitor.phase("refine");
     let mut refinement = Refinement::of(delaunay, points, spline, topology, limits);
-    if let Some(samples) = options.guarded(samples) {
+    if options.keeps_voxels && !options.open_border {
         refinement.keep_nodes(samples);
     }
     let mut hear = |count: usize| {
@@ -74,17 +70,18 @@ pub(crate) fn join(
         touches = !refinement.object.defects(&by_cocones).vertices.is_empty();
         (facets, cocone) = (by_cocones, Some(report));
     }
-    let mut interfaces = compact(refinement.object.points(), &facets).0;
+    let triangles = facets.iter().map(|facet| facet.vertices);
+    let mut interfaces = Interfaces::compact_object(refinement.object.points(), triangles).0;
     let voxel = spline.geometry().mean_spacing();
     let project = |_, p| spline.project(p, voxel, ON_SURFACE * voxel);
-    let parted = if touches { interfaces.part_sheets(project) } else { 0 };
-    Ok(Joined {
-        interfaces,
-        sizes: (refinement.object.points().to_vec(), refinement.object.sizes.clone()),
-        report: refinement.report.clone(),
-        cocone,
-        parted,
-    })
+    let mut refined = refinement.report.clone();
+    refined.parted = if touches { interfaces.separate_touching(project) } else { 0 };
+    let left = refined.unresolved.get(&Reason::CriticalPoint);
+    let doubtful = left.map(|count| format!(
+        "{count} critical points of F are on the wrong side of the mesh: necks, gaps or specks there are too thin for the particle spacing"
+    ));
+    let joining = Joining { prepared: points.report, refined, cocone, doubtful: doubtful.into_iter().collect() };
+    Ok(Joined { interfaces, points: (refinement.object.points().to_vec(), refinement.object.sizes), joining })
 }
 
 /// Returns the surface by Tight Cocone, and its report. While this surface lacks parts of the
@@ -119,10 +116,4 @@ pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeRe
     let (delaunay, field) = (refinement.object.restricted.delaunay(), refinement.object.restricted.field());
     let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
     tight_cocone(delaunay, Some(&normals))
-}
-
-/// Returns the surface of one object that consists of some facets, and the index of the point of
-/// each vertex.
-pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (Interfaces, Vec<u32>) {
-    Interfaces::compact(points, facets.iter().map(|facet| (facet.vertices, OBJECT)).collect())
 }

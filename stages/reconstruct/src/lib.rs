@@ -13,7 +13,8 @@
 //! | refinement, priority queue of violations | [`refine`], [`queue`] |
 //! | mesh with materials, separation of parts that touch | [`interfaces`] |
 //! | improvement of the triangles | [`improve`] |
-//! | improvement and checks of one object, in this order | `complete` |
+//! | improvement and checks, in this order | `complete` |
+//! | one object or many materials, as the later steps see them | [`subject`] |
 //! | update where h has changed | [`update`] |
 //! | checks, comparison with the topology of F | [`check`], [`verdict`] |
 //! | data on vertices and triangles | [`finish`] |
@@ -46,6 +47,7 @@ pub mod restricted;
 pub mod run;
 #[cfg(test)]
 mod scenes;
+pub mod subject;
 #[cfg(test)]
 mod tests;
 pub mod tight_cocone;

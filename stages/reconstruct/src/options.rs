@@ -1,7 +1,7 @@
 //! The options of a reconstruction.
 
-use crate::check::MIN_RADIUS_RATIO;
-use isoparticles_volume::Image;
+/// Default minimum radius ratio of the check (`--min-radius-ratio`).
+pub(crate) const MIN_RADIUS_RATIO: f64 = 0.3;
 
 /// Method that connects the particles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -30,7 +30,8 @@ pub struct Options {
     pub improve_below: f64,
     /// Number of sweeps over the whole mesh before the local moves.
     pub relaxation_sweeps: usize,
-    /// Whether every voxel centre must stay on its side (label maps at scale 0).
+    /// Whether every voxel centre must stay on its side (label maps at scale 0). Ignored with an
+    /// open border.
     pub keeps_voxels: bool,
     /// Whether the surface is open at the border of the volume.
     pub open_border: bool,
@@ -56,13 +57,5 @@ impl Default for Options {
             accept_forced: false,
             max_vertex_distance: 1e-4,
         }
-    }
-}
-
-impl Options {
-    /// Returns the samples of F if their nodes must stay on their side: for label maps at scale 0
-    /// with a closed border.
-    pub(crate) fn guarded<'a>(&self, samples: &'a Image<f32>) -> Option<&'a Image<f32>> {
-        (self.keeps_voxels && !self.open_border).then_some(samples)
     }
 }

@@ -5,7 +5,7 @@
 use crate::args::Args;
 use crate::check::{CheckOptions, check};
 use crate::input::about;
-use crate::join::compact;
+use crate::interfaces::Interfaces;
 use crate::offending::offending;
 use crate::output::{Made, describe_mesh};
 use crate::prepare::SurfacePoints;
@@ -80,8 +80,9 @@ pub(crate) fn compute(args: &Args, points: Points, file: Option<Space>, context:
     let step = context.step("cocone");
     let normals = (!points.normals.is_empty()).then_some(&points.normals[..]);
     let (facets, cocone) = tight_cocone(&delaunay, normals).map_err(|e| about(&args.particles, e))?;
-    let (mut interfaces, used) = compact(&points.positions, &facets);
-    let parted = interfaces.part_sheets(|_, p| Some(p));
+    let (mut interfaces, used) =
+        Interfaces::compact_object(&points.positions, facets.iter().map(|facet| facet.vertices));
+    let parted = interfaces.separate_touching(|_, p| Some(p));
     drop(step);
     context.check_interrupt()?;
 

@@ -148,7 +148,8 @@ fn spacings(delaunay: &Delaunay) -> Vec<f64> {
     nearest.into_iter().map(|list| if list[2].is_finite() { list[2] } else { 0.0 }).collect()
 }
 
-/// Numbers of dropped particles, by reason.
+/// Numbers of particles and segments that were used, added or not used. The numbers from
+/// `encroaching` on are zero for one object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PrepareReport {
     /// Number of particles in the file.
@@ -159,12 +160,22 @@ pub struct PrepareReport {
     pub not_projected: usize,
     /// Particles that coincide with an earlier one, or are too close to it.
     pub crowded: usize,
+    /// Particles on interfaces in the diametral ball of a segment of a junction curve.
+    pub encroaching: usize,
+    /// Segments of junction curves at the start.
+    pub segments: usize,
+    /// Segments that replace particles that were not used.
+    pub bridged: usize,
+    /// Points added on closed curves of one or two particles.
+    pub on_small_loops: usize,
+    /// Closed curves without particles that got points.
+    pub loops_added: usize,
 }
 
 impl PrepareReport {
     /// Returns the number of dropped particles.
     pub fn dropped(&self) -> usize {
-        self.invalid + self.not_projected + self.crowded
+        self.invalid + self.not_projected + self.crowded + self.encroaching
     }
 }
 

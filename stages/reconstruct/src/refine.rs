@@ -62,12 +62,27 @@ impl Default for RefineOptions {
 pub struct RefineReport {
     /// Number of global rounds that added points.
     pub rounds: usize,
-    /// Number of inserted points, by reason.
+    /// Violations of many materials at the start, by reason, without grid nodes.
+    pub violations: BTreeMap<Reason, usize>,
+    /// Violations repaired by an inserted point, by reason.
     pub inserted: BTreeMap<Reason, usize>,
-    /// Number of edges and vertices at which touching parts of the surface were separated by
-    /// changing the sides of tetrahedra.
-    pub parted_pinches: usize,
-    /// Number of remaining violations of the topology, by reason.
+    /// Points inserted on junction curves.
+    pub on_curves: usize,
+    /// Edges without a segment that became one, because their curve passes both ends within the
+    /// tolerance.
+    pub adopted: usize,
+    /// Changes of the label of tetrahedra: parts of stars, runs around edges, and single
+    /// tetrahedra.
+    pub relabelled: usize,
+    /// Dropped segments that are not edges between their materials and whose ends are connected by
+    /// other segments of their curve.
+    pub superfluous: usize,
+    /// Number of vertices at which touching parts of an interface were separated.
+    pub parted: usize,
+    /// Number of short segments that were contracted at a scale.
+    pub contracted: usize,
+    /// Remaining violations of the topology, and of many materials also the grid nodes in another
+    /// material, by reason.
     pub unresolved: BTreeMap<Reason, usize>,
 }
 
@@ -256,7 +271,7 @@ impl<'a> Refinement<'a> {
             parted = vertices.filter(|&v| restricted.part_vertex(v, may_leave)).count();
         }
         self.partings += usize::from(parted > 0);
-        self.report.parted_pinches += parted;
+        self.report.relabelled += parted;
         parted
     }
 

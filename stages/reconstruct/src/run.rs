@@ -3,32 +3,37 @@
 
 pub use crate::args::Args;
 use crate::args::check_field;
-use crate::finish::attributes;
+use crate::check::CheckReport;
+use crate::finish::{attributes, attributes_of_materials};
 pub use crate::input::Inputs;
 use crate::input::{about, warn_unless_settled};
-use crate::materials;
 pub use crate::materials::each::{MaterialSurface, MaterialSurfaces};
+use crate::materials::reconstruct::reconstruct as reconstruct_materials;
+use crate::materials::subject::Materials;
 use crate::offending::offending;
 use crate::options::{Method, Options};
 pub use crate::output::Made;
 use crate::output::{check_offenders, describe_mesh};
 use crate::points_alone::{self, Points};
 use crate::reconstruct::{Joining, Reconstruction, reconstruct};
+use crate::subject::{Object, Topology};
 use crate::update::{Reference, update};
-use crate::volumes;
-use isoparticles_field::particle_set::ParticleSet;
+use crate::volumes::{Volumes, of_materials, of_object};
+use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::point_cloud::is_point_cloud;
-use isoparticles_mesh::surface::{SurfaceFile, check_surface_name};
-use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
+use isoparticles_mesh::surface::{Surface, SurfaceFile, check_surface_name};
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome, particles_bytes};
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, check_same_grid};
-use isoparticles_stage::materials_file::is_materials;
-use isoparticles_stage::meta::{self, DistanceMeta, SurfaceMeta};
+use isoparticles_stage::materials_file::{MaterialsFile, is_materials};
+use isoparticles_stage::meta::{self, Border, DistanceMeta, MaterialsMeta, Source, SurfaceMeta};
 use isoparticles_stage::particle_file::ParticleFile;
 use isoparticles_stage::space::{file_space, parameter};
-use serde_json::json;
+use isoparticles_volume::Geometry;
+use serde_json::{Map, json};
 use std::sync::Arc;
 
 /// Runs the stage.
@@ -127,22 +132,42 @@ fn compute_update(
     )?;
     let sizing = SizingField::new(Arc::clone(&sizing.image));
     if distance.is_materials() {
-        materials::compute::refuse_failed(args, previous)?;
+        refuse_failed(args, previous)?;
     }
     let surface = &previous.surface;
     let reference = reference.map_or_else(|| Reference::new(distance, context).map(Arc::new), Ok)?;
     match (distance, &*reference) {
-        (DistanceField::Object(field), Reference::Object(spline, topology)) => {
-            let told: DistanceMeta = meta::typed(path, &field.meta, "distfield")?;
-            let options = args.options(&told);
-            let made = update(surface, &field.image, (spline, topology), &sizing, &options, context)
-                .map_err(|error| about(&args.particles, error))?;
-            finished(made, &told, &options, context)
+        (DistanceField::Object(field), Reference::Object(reference)) => {
+            let (spline, topology) = &**reference;
+            let (told, options) = told_of_object(args, field)?;
+            let samples = (!options.open_border).then_some(&*field.image);
+            let made = update(surface, &Object { field: spline, topology, samples }, &sizing, &options, context);
+            finish(args, made, &Given::Object(told, spline), &options, context)
         }
-        (DistanceField::Materials(given), Reference::Materials(nodes)) => {
-            materials::compute::compute_update(args, surface, (given, nodes), &sizing, context)
+        (DistanceField::Materials(file), Reference::Materials(nodes)) => {
+            let (told, options) = told_of_materials(args, file)?;
+            let subject = Materials { indicators: &file.materials, nodes, table: file.materials.table() };
+            let made = update(surface, &subject, &sizing, &options, context);
+            finish(args, made, &Given::Materials(told, file), &options, context)
         }
         _ => unreachable!("the reference of another field"),
+    }
+}
+
+/// Returns an error if a surface has failed a check. An update takes the junction curves and the
+/// merged vertices from the surface, so its checks cannot find their faults.
+///
+/// # Errors
+/// If the metadata lists a failed check or cannot be read.
+fn refuse_failed(args: &Args, previous: &SurfaceFile) -> Result<()> {
+    let told: SurfaceMeta = meta::typed(&args.particles, &previous.meta, "reconstruct")?;
+    match told.failed_checks.first() {
+        None => Ok(()),
+        Some(first) => Err(Error::input(
+            format!("{}: a check has failed: {first}", args.particles.display()),
+            "an update takes the junction curves from the surface, and its checks cannot find their faults",
+            "update a surface that has passed, or change the options of the stages until this one does",
+        )),
     }
 }
 
@@ -156,7 +181,7 @@ fn compute_on_field(
 ) -> Result<Made> {
     warn_unless_settled(args, file, context);
     if distance.is_materials() {
-        materials::compute::strata(args, file)?;
+        strata(args, file)?;
     }
     let (particles, geometry) = (&file.particles, distance.geometry());
     let [path, size_path] = args.field_names();
@@ -177,47 +202,126 @@ fn compute_on_field(
     }
     let sizing = sizing.map(|field| SizingField::new(Arc::clone(&field.image)));
     match distance {
-        DistanceField::Object(field) => of_object(args, particles, field, sizing.as_ref(), context),
-        DistanceField::Materials(field) => materials::compute::compute(args, file, field, sizing.as_ref(), context),
+        DistanceField::Object(field) => {
+            let (told, options) = told_of_object(args, field)?;
+            let phase = context.step("spline");
+            let spline = CubicSpline::new(&field.image);
+            drop(phase);
+            let made = reconstruct(particles, (&spline, &field.image), sizing.as_ref(), &options, context);
+            finish(args, made, &Given::Object(told, &spline), &options, context)
+        }
+        DistanceField::Materials(given) => {
+            let (told, options) = told_of_materials(args, given)?;
+            let (particles, table) = ((particles, strata(args, file)?), given.materials.table());
+            let made = reconstruct_materials(particles, &given.materials, table, sizing.as_ref(), &options, context);
+            finish(args, made, &Given::Materials(told, given), &options, context)
+        }
     }
 }
 
-/// Meshes one object.
-fn of_object(
-    args: &Args,
-    particles: &ParticleSet,
-    field: &Field,
-    sizing: Option<&SizingField>,
-    context: &Context,
-) -> Result<Made> {
-    let told: DistanceMeta = meta::typed(args.field_names()[0], &field.meta, "distfield")?;
-    let options = args.options(&told);
-    let made = reconstruct(particles, &field.image, sizing, &options, context)
-        .map_err(|error| about(&args.particles, error))?;
-    finished(made, &told, &options, context)
+/// Returns the strata of the particles.
+///
+/// # Errors
+/// If the particles have no strata.
+fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Strata> {
+    file.strata.as_ref().ok_or_else(|| {
+        Error::input(
+            format!("{}: the particles have no strata", args.particles.display()),
+            "each particle needs the materials that meet at it",
+            "pass the particles made from the same materials",
+        )
+    })
 }
 
-/// Adds the results for one object to the report, and returns the surface with its data.
-fn finished(made: Reconstruction, told: &DistanceMeta, options: &Options, context: &Context) -> Result<Made> {
+/// Returns the metadata of the field of one object, and the options for it.
+fn told_of_object(args: &Args, field: &Field) -> Result<(DistanceMeta, Options)> {
+    let told: DistanceMeta = meta::typed(args.field_names()[0], &field.meta, "distfield")?;
+    let (keeps_voxels, open_border) = (told.keeps_voxels(), told.border == Some(Border::Open));
+    Ok((told, Options { keeps_voxels, open_border, ..args.options() }))
+}
+
+/// Returns the metadata of many materials, and the options for them.
+fn told_of_materials(args: &Args, file: &MaterialsFile) -> Result<(MaterialsMeta, Options)> {
+    let [path, _] = args.field_names();
+    let told: MaterialsMeta = meta::typed(path, &file.meta, "distfield")?;
+    if told.border == Some(Border::Open) {
+        return Err(Error::input(
+            format!("{}: the materials are open at the border of the volume", path.display()),
+            "interfaces of many materials must be closed there",
+            "run distfield again with --border flat or --border cap",
+        ));
+    }
+    // without a scale, the voxel centres of labels keep their materials
+    let keeps_voxels = told.scale.is_none() && told.source.unwrap_or(Source::Labels) == Source::Labels;
+    Ok((told, Options { keeps_voxels, ..args.options() }))
+}
+
+/// The field of a surface, with its metadata.
+enum Given<'a> {
+    /// One object, with F.
+    Object(DistanceMeta, &'a CubicSpline),
+    /// Many materials.
+    Materials(MaterialsMeta, &'a MaterialsFile),
+}
+
+impl Given<'_> {
+    fn geometry(&self) -> &Geometry {
+        match self {
+            Self::Object(_, spline) => spline.geometry(),
+            Self::Materials(_, file) => file.materials.geometry(),
+        }
+    }
+
+    fn volumes(&self, checked: &CheckReport) -> Vec<Volumes> {
+        match self {
+            Self::Object(told, _) => of_object(told, checked.object().volume),
+            Self::Materials(told, _) => of_materials(told, &checked.regions),
+        }
+    }
+
+    /// Returns the surface in world coordinates with its data, and the part of its metadata that
+    /// depends on the kind of the field.
+    fn surface(&self, made: &Reconstruction) -> (Surface, SurfaceMeta) {
+        match self {
+            Self::Object(told, spline) => {
+                let surface = attributes(&made.interfaces.mesh, spline, &made.sizes, &told.cap_planes);
+                let notes = Map::from_iter([("topology".to_owned(), json!(made.topology))]);
+                let (source, border) = (told.source, told.border);
+                (surface, SurfaceMeta { source, border, notes, ..SurfaceMeta::default() })
+            }
+            Self::Materials(told, file) => {
+                let surface = attributes_of_materials(&made.interfaces, &made.sizes, self.geometry());
+                let pairs: Vec<_> = made.checked.pairs.iter().map(|pair| &pair.between).collect();
+                let notes = Map::from_iter([("interfaces".to_owned(), json!(pairs))]);
+                let (table, caps) = file.materials.table().split_at(file.materials.indicators().len());
+                let (materials, caps) = (table.to_vec(), caps.iter().map(|cap| cap.name.clone()).collect());
+                let (source, border) = (Some(told.source.unwrap_or(Source::Labels)), told.border);
+                (surface, SurfaceMeta { source, border, materials, caps, notes, ..SurfaceMeta::default() })
+            }
+        }
+    }
+}
+
+/// Adds the results to the report, and returns the surface with its data.
+fn finish(
+    args: &Args,
+    made: Result<Reconstruction>,
+    given: &Given,
+    options: &Options,
+    context: &Context,
+) -> Result<Made> {
+    let made = made.map_err(|error| about(&args.particles, error))?;
     context.check_interrupt()?;
     tell(&made, context);
-    let volumes = json!(volumes::of_object(told, made.checked.object().volume));
+    let volumes = json!(given.volumes(&made.checked));
     context.report("volumes", volumes.clone());
-    let refined = made.joining.as_ref().map(|joining| ("refine", json!(joining.refined)));
-    let notes = [("topology", json!(made.topology)), ("volumes", volumes)].into_iter().chain(refined);
-    let mut surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
+    let (mut surface, mut meta) = given.surface(&made);
     made.kept.iter().for_each(|&(v, place)| surface.mesh.vertices[v as usize] = place);
-    let meta = SurfaceMeta {
-        version: meta::VERSION,
-        source: told.source,
-        border: told.border,
-        failed_checks: made.failed,
-        components: made.topology.field.components,
-        materials: Vec::new(),
-        caps: Vec::new(),
-        notes: notes.map(|(name, note)| (name.to_owned(), note)).collect(),
-    };
-    let offending = offending(&made.mesh, &made.checked, made.field.geometry(), options.keeps_voxels);
+    meta.notes.insert("volumes".to_owned(), volumes);
+    meta.notes.extend(made.joining.iter().map(|joining| ("refine".to_owned(), json!(joining.refined))));
+    let components = made.topology.components();
+    let offending = offending(&made.interfaces.mesh, &made.checked, given.geometry(), options.keeps_voxels);
+    let meta = SurfaceMeta { version: meta::VERSION, failed_checks: made.failed, components, ..meta };
     Ok(Made { surface, meta, offending })
 }
 
@@ -228,7 +332,6 @@ fn tell(made: &Reconstruction, context: &Context) {
         context.report("prepare", json!(joining.prepared));
         context.report("refine", json!(joining.refined));
         context.report("cocone", json!(joining.cocone));
-        context.report("parted_vertices", joining.parted);
         if let Some(cocone) = &joining.cocone {
             points_alone::warn(cocone, context);
         }
@@ -237,12 +340,29 @@ fn tell(made: &Reconstruction, context: &Context) {
     context.report("check", json!(checked));
     context.report("topology", json!(topology));
     made.doubtful.iter().for_each(|doubt| context.warn(doubt));
-    describe_mesh(checked, &topology.expected(), context);
+    match topology {
+        Topology::Object(report) => describe_mesh(checked, &report.expected(), context),
+        Topology::Materials(pieces) => {
+            describe_mesh(checked, "", context);
+            let missing: usize = pieces.iter().map(|own| own.missing.len()).sum();
+            let specks: usize = pieces.iter().map(|own| own.missing_specks).sum();
+            context.summary("components missing, specks missing", format!("{missing}, {specks}"));
+        }
+    }
     match joining {
-        Some(Joining { prepared, taken, refined, .. }) => {
-            context.summary("particles used, not used", format!("{taken}, {}", prepared.dropped()));
-            context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
+        Some(Joining { prepared, refined, .. }) => {
+            let dropped = prepared.dropped();
+            context.summary("particles used, not used", format!("{}, {dropped}", prepared.particles - dropped));
+            let (points, rounds) = (refined.points(), refined.rounds);
+            let on_curves = format!(", {} of them on junction curves", refined.on_curves);
+            let on_curves = if refined.on_curves > 0 { &on_curves } else { "" };
+            context.summary("points added", format!("{points} in {rounds} rounds{on_curves}"));
         }
         None => context.summary("vertices kept", made.kept.len()),
+    }
+    if made.failed.is_empty()
+        && let Some(forced) = checked.forced()
+    {
+        context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", checked.poor_between_curves.len()));
     }
 }

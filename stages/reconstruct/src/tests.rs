@@ -1,10 +1,12 @@
 //! Reconstructs analytic scenes from sparse and dense points.
 
 use crate::defects::Defects;
-use crate::join::{COCONE_ROUNDS, cocone_of, compact};
+use crate::interfaces::Interfaces;
+use crate::join::{COCONE_ROUNDS, cocone_of};
 use crate::prepare::{SurfacePoints, prepare};
 use crate::queue::Reason;
 use crate::refine::{RefineOptions, RefineReport, Refinement};
+use crate::restricted::Facet;
 use crate::scenes::{self, Scene};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -20,6 +22,10 @@ pub(crate) fn surface_points(scene: &Scene, spacing: f64) -> SurfacePoints {
     SurfacePoints { positions, sizes, ..SurfacePoints::default() }
 }
 
+fn mesh_of(refinement: &Refinement, facets: &[Facet]) -> TriangleMesh {
+    Interfaces::compact_object(refinement.object.points(), facets.iter().map(|facet| facet.vertices)).0.mesh
+}
+
 fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
     let mut points = surface_points(scene, spacing);
     let topology = FieldTopology::new(&scene.field);
@@ -27,7 +33,7 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     let (facets, _) = refinement.run(|_| Ok(())).unwrap();
     let defects = refinement.object.defects(&facets);
     (
-        compact(refinement.object.restricted.points(), &facets).0.mesh,
+        mesh_of(&refinement, &facets),
         defects,
         refinement.report.clone(),
         topology.components().iter().map(|c| c.euler).collect(),
@@ -59,11 +65,7 @@ pub(crate) fn tight_cocone_beside_field(scene: &Scene, spacing: f64) -> (Triangl
     }
     let (facets, _) = cocone_of(&refinement).unwrap();
     let defects = refinement.compare_other(&facets);
-    (
-        compact(refinement.object.restricted.points(), &facets).0.mesh,
-        topology.components().iter().map(|c| c.euler).collect(),
-        defects,
-    )
+    (mesh_of(&refinement, &facets), topology.components().iter().map(|c| c.euler).collect(), defects)
 }
 
 fn volume_and_area(mesh: &TriangleMesh) -> (f64, f64) {
@@ -145,8 +147,8 @@ fn surfaces_that_touch_at_a_saddle_of_f_are_separated() {
         let (facets, _) = refinement.run(|_| Ok(())).unwrap();
         let after = refinement.object.defects(&facets);
         assert!(after.is_manifold(), "at spacing {spacing}: {:?}", refinement.report);
-        assert_eq!(refinement.report.parted_pinches > 0, !before.is_manifold());
-        refinement.report.parted_pinches
+        assert_eq!(refinement.report.relabelled > 0, !before.is_manifold());
+        refinement.report.relabelled
     });
     assert!(parted.iter().any(|&n| n > 0), "nothing touches at any spacing, so this shows nothing");
 }

@@ -1,40 +1,42 @@
-//! Updates a finished mesh of one object where h has changed (`--update`).
+//! Updates a finished surface where h has changed (`--update`).
 //!
-//! The mesh stores h at each of its vertices. Vertices at which the size field differs from the
+//! The surface stores h at each of its vertices. Vertices at which the size field differs from the
 //! stored h may change, and so may three rings of vertices around them. Edges between these
 //! vertices are split and collapsed until their lengths fit the new h, and the triangles are
 //! improved. All other vertices keep their positions bit for bit, and their triangles keep their
 //! corners. All edits preserve the topology. The whole mesh is checked as after a reconstruction.
 
-use crate::complete::{Completed, Completion};
+use crate::complete::Completion;
+use crate::complete::Reconstruction;
+use crate::interfaces::{Interface, Interfaces, Joined};
+use crate::materials::each::SIDES;
 use crate::materials::nodes::Nodes;
 use crate::options::Options;
-use crate::reconstruct::Reconstruction;
+use crate::subject::Subject;
 use glam::DVec3;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::sizing::SizingField;
-use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::spline::{CubicSpline, distance_estimate};
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::Surface;
 use isoparticles_stage::distance_field::DistanceField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::Image;
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Relative differences of h up to this value are due to rounding. Without a change, the same f32
 /// samples are interpolated, at a position that rounding has changed by a relative 1e-15.
 const SAME_SIZE: f64 = 1e-6;
 
-/// Distance from F = 0, in voxels. If more than half of the vertices are farther away, the surface
-/// belongs to another field and is rejected. The same rule applies to particles.
-pub(crate) const FARTHEST: f64 = 1.0;
+/// Distance from an interface, in voxels. If more than half of the vertices are farther away, the
+/// surface belongs to another field and is rejected. The same rule applies to particles.
+const FARTHEST: f64 = 1.0;
 
 /// Data that depend only on the field, so that all updates of a field can share them.
 pub enum Reference {
     /// F and its topology.
-    Object(Arc<CubicSpline>, Box<FieldTopology>),
+    Object(Box<(CubicSpline, FieldTopology)>),
     /// The material of each grid node.
     Materials(Nodes),
 }
@@ -47,67 +49,63 @@ impl Reference {
     pub fn new(distance: &DistanceField, monitor: &dyn Monitor) -> Result<Self> {
         let _phase = monitor.phase("topology");
         match distance {
-            DistanceField::Object(field) => Self::of_object(&field.image, monitor),
+            DistanceField::Object(field) => {
+                let spline = CubicSpline::new(&field.image);
+                let topology = FieldTopology::watched(&spline, monitor)?;
+                Ok(Self::Object(Box::new((spline, topology))))
+            }
             DistanceField::Materials(file) => {
                 Ok(Self::Materials(Nodes::new(file.materials.geometry(), &file.materials)))
             }
         }
     }
-
-    fn of_object(field: &Image<f32>, monitor: &dyn Monitor) -> Result<Self> {
-        let spline = Arc::new(CubicSpline::new(field));
-        let topology = FieldTopology::watched(&spline, monitor)?;
-        Ok(Self::Object(spline, Box::new(topology)))
-    }
 }
 
-/// Changes the mesh of `previous` (world coordinates, with h at its vertices) where `sizing`
-/// differs from this h. `field` contains the samples of F.
+/// Changes the surface `previous` (world coordinates, with h at its vertices and, of many
+/// materials, the materials at its triangles) where `sizing` differs from this h.
 ///
 /// # Errors
-/// If the surface has no h or belongs to another field, or if the run is interrupted. A mesh that
-/// fails a check is not an error.
+/// If the surface has no h or no materials, if it belongs to another field, or if the run is
+/// interrupted. A mesh that fails a check is not an error.
 pub fn update(
     previous: &Surface,
-    field: &Image<f32>,
-    (spline, topology): (&Arc<CubicSpline>, &FieldTopology),
+    subject: &dyn Subject,
     sizing: &SizingField,
     options: &Options,
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
-    let mut mesh = previous.to_grid(&field.geometry);
-    let is_far = |p: &&DVec3| spline.distance_estimate(**p).abs() > FARTHEST * spline.voxel();
-    check_belongs(&mesh, mesh.vertices.par_iter().filter(is_far).count(), "F = 0")?;
+    let phase = monitor.phase("read the interfaces");
+    let mut interfaces = interfaces_of(previous, subject)?;
+    join_the_distant(&mut interfaces, subject, options)?;
     let size = |p: DVec3| sizing.at(p);
-    let around = with_another_size(&mesh, &sizes_of(previous)?, &size);
-    let before = mesh.vertices.clone();
-    let completion = Completion { spline, topology, samples: field, size: &size, options };
-    let (improved, numbers) = completion.improve(&mut mesh, Some(&around), monitor)?;
-    let (mesh, completed) = completion.check(mesh, None, monitor)?;
-    let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
-    let kept = kept(&previous.mesh, &before, &mesh, &numbers);
-    let Completed { checked, topology, failed, doubtful } = completed;
-    let (field, joining) = (Arc::clone(spline), None);
-    Ok(Reconstruction { field, mesh, sizes, joining, kept, improved, checked, topology, failed, doubtful })
+    let around = with_another_size(&interfaces.mesh, &sizes_of(previous)?, &size);
+    drop(phase);
+    monitor.check()?;
+
+    let phase = monitor.phase("improve");
+    let before = interfaces.mesh.vertices.clone();
+    let dimensions = interfaces.dimensions();
+    let completion = Completion { subject, size: &size, options, monitor };
+    let (improved, numbers) = completion.improve(&mut interfaces, &dimensions, Some(&around), true)?;
+    // the edges of curves have changed if they were split or collapsed
+    interfaces.segments = interfaces.edges_of_curves();
+    drop(phase);
+    let kept = kept(&previous.mesh, &before, &interfaces.mesh, &numbers);
+    completion.check(interfaces, improved, None, kept)
 }
 
 /// Returns the indices in `mesh` of the vertices that have kept their positions, with these
 /// positions in world coordinates, bit for bit as in `previous`. `before` contains the grid
 /// positions of the vertices of `previous`, and `numbers` their indices in `mesh`, `u32::MAX` for
 /// removed vertices.
-pub(crate) fn kept(
-    previous: &TriangleMesh,
-    before: &[DVec3],
-    mesh: &TriangleMesh,
-    numbers: &[u32],
-) -> Vec<(u32, DVec3)> {
+fn kept(previous: &TriangleMesh, before: &[DVec3], mesh: &TriangleMesh, numbers: &[u32]) -> Vec<(u32, DVec3)> {
     let numbered = numbers.iter().zip(before.iter().zip(&previous.vertices));
     let is_kept = |number: u32, place: DVec3| number != u32::MAX && mesh.vertices[number as usize] == place;
     numbered.filter(|(number, (place, _))| is_kept(**number, **place)).map(|(&number, (_, &p))| (number, p)).collect()
 }
 
 /// Returns h at the vertices of a surface.
-pub(crate) fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
+fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
     let sizes = surface.point_data.iter().find(|array| array.name == "h").map(|array| array.values.to_f64());
     sizes.filter(|sizes| sizes.len() == surface.mesh.vertices.len()).ok_or_else(|| {
         Error::input(
@@ -118,29 +116,82 @@ pub(crate) fn sizes_of(surface: &Surface) -> Result<Vec<f64>> {
     })
 }
 
-/// Returns an error if the mesh is empty or not well-formed, or if most of its vertices are far
-/// from `target`: F = 0 or the interfaces. `far` is the number of these vertices.
-pub(crate) fn check_belongs(mesh: &TriangleMesh, far: usize, target: &str) -> Result<()> {
-    let what = if mesh.triangles.is_empty() || !mesh.is_well_formed() {
-        "the surface has no triangles, or a coordinate that is not finite".to_owned()
-    } else if 2 * far > mesh.vertices.len() {
-        format!("{far} of {} vertices are not within {FARTHEST} voxel of {target}", mesh.vertices.len())
-    } else {
-        return Ok(());
+/// Converts a surface to interfaces in the grid frame, with the edges of their junction curves.
+fn interfaces_of(surface: &Surface, subject: &dyn Subject) -> Result<Interfaces> {
+    let (mesh, count, first_beyond) =
+        (surface.to_grid(subject.geometry()), subject.table().len(), subject.first_beyond());
+    if count == 0 {
+        return Ok(Interfaces::of_object(mesh));
+    }
+    let array = |name: &str| {
+        let found = surface.cell_data.iter().find(|array| array.name == name)?;
+        let values = found.values.to_f64();
+        (values.len() == surface.mesh.triangles.len()).then_some(values)
     };
-    Err(Error::input(
-        what,
-        "the surface does not belong to the distance field",
-        "pass the distance field from which the surface was made",
-    ))
+    let Some((inside, outside)) = array(SIDES[0]).zip(array(SIDES[1])) else {
+        return Err(Error::input(
+            "the triangles have no materials",
+            "the interfaces between materials cannot be updated without them",
+            "pass a .vtp file that reconstruct has written from the same indicators",
+        ));
+    };
+    let count = count as f64;
+    if inside.iter().chain(&outside).any(|&id| !(0.0..count).contains(&id)) {
+        return Err(Error::input(
+            format!("a triangle has a material with a number above {}", count - 1.0),
+            "the surface does not belong to these indicators",
+            "pass the indicators from which the surface was made",
+        ));
+    }
+    let cap = array("cap").unwrap_or_else(|| vec![0.0; inside.len()]);
+    let beyond = |cap: f64| first_beyond.filter(|_| cap > 0.0).map(|first| MaterialId(first.0 + cap as u16 - 1));
+    let sides = inside.into_iter().zip(outside).zip(cap);
+    let pair = |((inside, outside), cap): ((f64, f64), f64)| {
+        [MaterialId(inside as u16), beyond(cap).unwrap_or(MaterialId(outside as u16))]
+    };
+    let mut interfaces = Interfaces { mesh, between: sides.map(pair).collect(), first_beyond, ..Interfaces::default() };
+    interfaces.segments = interfaces.edges_of_curves();
+    Ok(interfaces)
+}
+
+/// Records as joined the vertices of junction curves that are farther than the limit of the check
+/// from one of their interfaces. In the surface of a reconstruction, these are vertices at which
+/// strata were merged. The check accepts their present distances.
+///
+/// # Errors
+/// If the mesh is empty or not well-formed, or if most vertices are far from their interfaces.
+fn join_the_distant(interfaces: &mut Interfaces, subject: &dyn Subject, options: &Options) -> Result<()> {
+    let wrong = |what: String| {
+        let why = "the surface does not belong to the distance field";
+        Err(Error::input(what, why, "pass the distance field from which the surface was made"))
+    };
+    let mesh = &interfaces.mesh;
+    if mesh.triangles.is_empty() || !mesh.is_well_formed() {
+        return wrong("the surface has no triangles, or a coordinate that is not finite".to_owned());
+    }
+    let voxel = subject.geometry().mean_spacing();
+    let distance = |&(v, interface): &(u32, Interface)| {
+        let (value, gradient) = subject.functions().value_gradient(interface, mesh.vertices[v as usize]);
+        (v, distance_estimate(value, gradient).abs())
+    };
+    let distances: Vec<(u32, f64)> = interfaces.pairs_at_vertices().par_iter().map(distance).collect();
+    let of_vertex = distances.chunk_by(|a, b| a.0 == b.0);
+    let maximum = |own: &[(u32, f64)]| own.iter().map(|(_, distance)| *distance).fold(0.0, f64::max);
+    let far = of_vertex.clone().filter(|own| maximum(own) > FARTHEST * voxel).count();
+    if 2 * far > mesh.vertices.len() {
+        let count = mesh.vertices.len();
+        return wrong(format!(
+            "{far} of {count} vertices are not within {FARTHEST} voxel of F = 0 or of their interfaces"
+        ));
+    }
+    let limit = options.max_vertex_distance * voxel;
+    let distant = of_vertex.filter(|own| own.len() > 1 && maximum(own) > limit);
+    interfaces.joined = distant.map(|own| Joined { vertex: own[0].0, distance: maximum(own) }).collect();
+    Ok(())
 }
 
 /// Returns whether `size` differs from `before`, the previous h, at each vertex.
-pub(crate) fn with_another_size(
-    mesh: &TriangleMesh,
-    before: &[f64],
-    size: &(dyn Fn(DVec3) -> f64 + Sync),
-) -> Vec<bool> {
+fn with_another_size(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
     let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
     mesh.vertices.par_iter().zip(before).map(differs).collect()
 }
@@ -150,17 +201,19 @@ mod tests {
     use super::*;
     use crate::reconstruct::reconstruct;
     use crate::scenes::{self, Scene};
+    use crate::subject::Object;
     use isoparticles_field::particle_set::ParticleSet;
     use isoparticles_mesh::surface::DataArray;
     use isoparticles_stage::monitor::Silent;
+    use isoparticles_volume::Image;
 
     /// Edge length of the mesh that is updated.
     const H: f64 = 1.6;
     /// A point on the outer rim of the torus.
     const PLACE: DVec3 = DVec3::new(28.7, 15.7, 15.7);
 
-    fn surface_of(made: &Reconstruction, previous: Option<&Surface>) -> Surface {
-        let mut surface = Surface::from_grid(&made.mesh, made.field.geometry());
+    fn surface_of(made: &Reconstruction, scene: &Scene, previous: Option<&Surface>) -> Surface {
+        let mut surface = Surface::from_grid(&made.interfaces.mesh, &scene.image.geometry);
         assert_eq!(made.kept.is_empty(), previous.is_none());
         made.kept.iter().for_each(|&(v, place)| surface.mesh.vertices[v as usize] = place);
         surface.point_data = vec![DataArray::scalars("h", made.sizes.clone())];
@@ -179,9 +232,10 @@ mod tests {
             lambdas: vec![0.1; count],
         };
         let sizing = field_of(scene, |_| H);
-        let made = reconstruct(&particles, &scene.image, Some(&sizing), &Options::default(), &Silent).expect("near F");
+        let field = (&scene.field, &scene.image);
+        let made = reconstruct(&particles, field, Some(&sizing), &Options::default(), &Silent).expect("near F");
         assert_eq!(made.failed, [""; 0]);
-        surface_of(&made, None)
+        surface_of(&made, scene, None)
     }
 
     fn field_of(scene: &Scene, h: impl Fn(DVec3) -> f64) -> SizingField {
@@ -198,15 +252,15 @@ mod tests {
     }
 
     fn run(previous: &Surface, scene: &Scene, h: impl Fn(DVec3) -> f64) -> Result<Reconstruction> {
-        let Reference::Object(spline, topology) = Reference::of_object(&scene.image, &Silent)? else { unreachable!() };
-        let sizing = field_of(scene, h);
-        update(previous, &scene.image, (&spline, &topology), &sizing, &Options::default(), &Silent)
+        let topology = FieldTopology::new(&scene.field);
+        let subject = Object { field: &scene.field, topology: &topology, samples: Some(&scene.image) };
+        update(previous, &subject, &field_of(scene, h), &Options::default(), &Silent)
     }
 
     fn updated(scene: &Scene, previous: &Surface, h: impl Fn(DVec3) -> f64) -> (Reconstruction, Surface) {
         let made = run(previous, scene, h).expect("of F");
         assert_eq!(made.failed, [""; 0]);
-        let surface = surface_of(&made, Some(previous));
+        let surface = surface_of(&made, scene, Some(previous));
         (made, surface)
     }
 

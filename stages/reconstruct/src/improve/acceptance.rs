@@ -304,7 +304,7 @@ impl Surface<'_> {
 /// a node changes sides while a junction curve changes.
 fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<(Vec<usize>, usize)> {
     let Some(sides) = &surface.sides else { return Some((Vec::new(), 0)) };
-    let sides_of = |t: u32| surface.field.sides(surface.sheet[t as usize]);
+    let sides_of = |t: u32| surface.pair[t as usize].map(|id| surface.field.region(id));
     let now = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| (surface.corners(t), sides_of(t)));
     let former = surface.former_corners(touched).into_iter().map(|(t, corners)| (corners, sides_of(t)));
     let changed = sides.changed(former.chain(now));

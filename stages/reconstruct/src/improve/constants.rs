@@ -15,7 +15,7 @@ pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
 pub(super) const SHORT_SIDE: f64 = 0.15;
 /// Minimum radius ratio of the check by default (`--min-radius-ratio`). All operations apply to
 /// triangles below this quality, even next to junction curves.
-pub(super) const POOR: f64 = crate::check::MIN_RADIUS_RATIO;
+pub(super) const POOR: f64 = crate::options::MIN_RADIUS_RATIO;
 /// Default target quality of the queue (`--improve-below`), and the minimum quality that the moves
 /// of a sweep keep.
 pub(super) const GOOD: f64 = 0.9;

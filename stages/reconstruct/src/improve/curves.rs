@@ -3,9 +3,10 @@
 //! acceptance test covers the triangles of all these interfaces together.
 
 use super::constants::{CURVE_DEVIATION, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
-use super::sheets::Freedom;
+use super::functions::Freedom;
 use super::surface::measure::quality_facing;
 use super::surface::{Curve, DEAD, Surface};
+use crate::interfaces::Interface;
 use glam::DVec3;
 
 impl Surface<'_> {
@@ -20,7 +21,7 @@ impl Surface<'_> {
     /// (mm).
     fn onto_curve(&self, curve: &Curve, p: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = PROJECTION_TOLERANCE * self.field.voxel();
-        self.field.project_onto_curve([curve.sheets[0], curve.sheets[1]], p, limit, tolerance)
+        self.field.project_onto_curve([curve.pairs[0], curve.pairs[1]], p, limit, tolerance)
     }
 
     /// Returns the distance (mm) between a curve and the midpoint of two of its points, or infinity
@@ -43,14 +44,14 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
     let Some(curve) = surface.way_of(vertex) else { return false };
     let start = surface.positions[vertex as usize];
     let ends = curve.ends.map(|end| surface.positions[end as usize]);
-    let normal = |sheet: u32| surface.field.value_gradient(sheet, start).1;
-    let normals: Vec<(u32, DVec3)> = curve.sheets.iter().map(|&sheet| (sheet, normal(sheet))).collect();
+    let normal = |pair: Interface| surface.field.value_gradient(pair, start).1;
+    let normals: Vec<(Interface, DVec3)> = curve.pairs.iter().map(|&pair| (pair, normal(pair))).collect();
     let ring: Vec<(DVec3, DVec3, DVec3)> = surface.around[vertex as usize]
         .iter()
         .zip(surface.link(vertex))
         .map(|(&t, (a, b))| {
-            let sheet = surface.sheet[t as usize];
-            let normal = normals.iter().find(|own| own.0 == sheet).map_or(DVec3::ZERO, |own| own.1);
+            let pair = surface.pair[t as usize];
+            let normal = normals.iter().find(|own| own.0 == pair).map_or(DVec3::ZERO, |own| own.1);
             let (p, q) = surface.side(a, b);
             (p, q, normal)
         })
@@ -98,23 +99,23 @@ pub(super) fn part_of_slide(surface: &Surface, vertex: u32, [from, to]: [DVec3; 
 pub(super) fn split_along(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     let at_edge = |t: &&u32| surface.triangles[**t as usize].contains(&b);
     let triangles: Vec<u32> = surface.around[a as usize].iter().filter(at_edge).copied().collect();
-    let mut sheets: Vec<u32> = triangles.iter().map(|&t| surface.sheet[t as usize]).collect();
-    sheets.sort_unstable();
-    let is_curve = (2..=3).contains(&sheets.len()) && sheets.is_sorted_by(|first, second| first < second);
+    let mut pairs: Vec<Interface> = triangles.iter().map(|&t| surface.pair[t as usize]).collect();
+    pairs.sort_unstable();
+    let is_curve = (2..=3).contains(&pairs.len()) && pairs.is_sorted_by(|first, second| first < second);
     let mut corners = triangles.iter().flat_map(|&t| surface.triangles[t as usize]);
     if !is_curve || corners.any(|v| surface.frozen[v as usize]) {
         return None;
     }
     let [p, q] = [a, b].map(|v| surface.positions[v as usize]);
-    let curve = Curve { ends: [a, b], sheets };
+    let curve = Curve { ends: [a, b], pairs };
     let middle = surface.onto_curve(&curve, p.midpoint(q), 0.5 * p.distance(q))?;
     let new = surface.add_vertex(middle);
     surface.freedom[new as usize] = Freedom::Curve;
     for t in triangles {
-        let (corners, sheet) = (surface.triangles[t as usize], surface.sheet[t as usize]);
+        let (corners, pair) = (surface.triangles[t as usize], surface.pair[t as usize]);
         let with = |gone: u32| corners.map(|v| if v == gone { new } else { v });
         surface.set_triangle(t, with(b));
-        surface.add_triangle(with(a), sheet);
+        surface.add_triangle(with(a), pair);
     }
     Some(new)
 }

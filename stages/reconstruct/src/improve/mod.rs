@@ -9,6 +9,7 @@
 mod acceptance;
 mod constants;
 mod curves;
+mod functions;
 mod grid;
 mod lift;
 mod moves;
@@ -18,14 +19,13 @@ mod part;
 mod patch;
 mod remesh;
 mod ring;
-mod sheets;
 mod site;
 mod smooth;
 mod surface;
 mod sweep;
 mod target_length;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(test)]
 mod tests_of_curves;
 #[cfg(test)]
@@ -38,19 +38,18 @@ mod tests_of_smoothing;
 mod tests_of_thinning;
 mod thin;
 
+use crate::interfaces::Interfaces;
 use acceptance::Limits;
 use constants::GOOD;
+pub use functions::{Freedom, InterfaceFunctions};
 use glam::DVec3;
-use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::{QualitySummary, summarise};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_volume::{Geometry, Image};
-use nodes::NodeSides;
+pub(crate) use nodes::NodeSides;
 use part::Part;
 use rayon::prelude::*;
 use serde::Serialize;
-pub use sheets::{Freedom, Sheets};
 use std::ops::AddAssign;
 use surface::Surface;
 
@@ -68,9 +67,6 @@ pub struct ImproveOptions<'a> {
     pub relaxation_sweeps: usize,
     /// Whether the first sweep removes vertices where the mesh is denser than h.
     pub thins: bool,
-    /// Samples of F at the grid nodes. If given, the number of nodes on the wrong side of the mesh
-    /// never increases (label maps).
-    pub sides: Option<&'a Image<f32>>,
     /// For each vertex, whether the mesh may change there and up to three edges away. If given, all
     /// other vertices are frozen: they do not move, and their triangles keep their corners.
     pub around: Option<&'a [bool]>,
@@ -81,7 +77,7 @@ pub struct ImproveOptions<'a> {
 
 impl Default for ImproveOptions<'_> {
     fn default() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, thins: true, sides: None, around: None, adjusts: false }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, around: None, adjusts: false }
     }
 }
 
@@ -140,59 +136,35 @@ pub struct ImproveReport {
 /// Callback of long loops, which call it regularly. An error stops the work.
 pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Improves a mesh in the grid frame, whose vertices lie on F = 0. The vertices in `held` are
-/// fixed. `size` is the target edge length h (mm) at a position. Also returns the index of each
-/// vertex in the improved mesh, `u32::MAX` if it was removed.
+/// What the improvement of a mesh keeps.
+pub(crate) struct Constraints<'a> {
+    /// Implicit functions of the interfaces.
+    pub(crate) functions: &'a dyn InterfaceFunctions,
+    /// How each vertex may move.
+    pub(crate) freedom: Vec<Freedom>,
+    /// The grid nodes that must not leave their sides; `None` if no node is guarded.
+    pub(crate) sides: Option<NodeSides<'a>>,
+}
+
+/// Improves a mesh (grid frame) of interfaces that may meet in junction curves. Edges that are not
+/// in exactly two triangles are edges of junction curves. Vertices stay on their interfaces and
+/// curves. If a vertex of a curve is removed, an edge joins its two neighbours on the curve. `size`
+/// is the target edge length h (mm) at a position. Only `mesh` and `between` of the interfaces are
+/// read and changed. Also returns the index of each vertex in the improved mesh, `u32::MAX` if it
+/// was removed.
 ///
 /// # Errors
 /// If a coordinate of the mesh is not finite, a triangle contains an invalid vertex index, or
 /// `size` is not positive and finite at a vertex; and the errors of `step`. The mesh is then
 /// unchanged.
-pub fn improve(
-    mesh: &mut TriangleMesh,
-    held: &[u32],
-    field: &CubicSpline,
+pub(crate) fn improve(
+    interfaces: &mut Interfaces,
+    constraints: Constraints,
     size: &(dyn Fn(DVec3) -> f64 + Sync),
     options: &ImproveOptions,
     step: Step,
 ) -> Result<(ImproveReport, Vec<u32>)> {
-    let (of_triangle, mut freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
-    held.iter().for_each(|&v| freedom[v as usize] = Freedom::None);
-    let mut sheets = SheetsOf { field, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() };
-    let report = improve_sheets(mesh, &mut sheets, size, options, step)?;
-    Ok((report, sheets.numbers))
-}
-
-/// The interfaces of a mesh.
-pub struct SheetsOf<'a> {
-    /// Implicit functions of the interfaces.
-    pub field: &'a dyn Sheets,
-    /// Index of the interface of each triangle.
-    pub of_triangle: Vec<u32>,
-    /// How each vertex may move.
-    pub freedom: Vec<Freedom>,
-    /// The grid, and the indices of its nodes in the wrong material. If present, all nodes are
-    /// guarded. Ignored if [`ImproveOptions::sides`] is given.
-    pub wrong_nodes: Option<(&'a Geometry, Vec<usize>)>,
-    /// Output: index of each vertex in the improved mesh, `u32::MAX` if it was removed.
-    pub numbers: Vec<u32>,
-}
-
-/// Improves a mesh (grid frame) of several interfaces that meet in junction curves. Edges that are
-/// not in exactly two triangles are edges of junction curves. Vertices stay on their interfaces and
-/// curves. If a vertex of a curve is removed, an edge joins its two neighbours on the curve.
-/// Afterwards, `of_triangle` and `numbers` refer to the improved mesh, and `freedom` is no longer
-/// valid.
-///
-/// # Errors
-/// Those of [`improve`].
-pub fn improve_sheets(
-    mesh: &mut TriangleMesh,
-    sheets: &mut SheetsOf,
-    size: &(dyn Fn(DVec3) -> f64 + Sync),
-    options: &ImproveOptions,
-    step: Step,
-) -> Result<ImproveReport> {
+    let mesh = &interfaces.mesh;
     check_inputs(mesh, size)?;
     let below = |mesh: &TriangleMesh| {
         isoparticles_mesh::quality::radius_ratios(mesh).iter().filter(|&&q| q < options.target).count()
@@ -200,16 +172,12 @@ pub fn improve_sheets(
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
     let part = options.around.map(|around| Part::near(mesh, around));
+    let Constraints { functions, freedom, sides } = constraints;
     let mut surface = match &part {
-        Some(part) => part.surface(mesh, sheets, size),
-        None => Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.freedom.clone(), sheets.field, size),
+        Some(part) => part.surface(interfaces, &freedom, functions, size),
+        None => Surface::of_interfaces(mesh, interfaces.between.clone(), freedom, functions, size),
     };
     report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
-    let sides = match (options.sides, &sheets.wrong_nodes) {
-        (Some(image), _) => Some(NodeSides::new(mesh, image)),
-        (None, Some((geometry, wrong))) => Some(NodeSides::of(geometry, wrong.iter().copied())),
-        (None, None) => None,
-    };
     let wrong_before = sides.as_ref().map(NodeSides::wrong_count);
     surface.sides = sides.map(|sides| match surface.region {
         Some(region) => sides.within(&region),
@@ -235,13 +203,15 @@ pub fn improve_sheets(
 
     let counts = wrong_before.zip(wrong_inside).zip(surface.sides.as_ref().map(NodeSides::wrong_count));
     report.nodes_on_wrong_side = counts.map(|((all, inside), after)| [all, all - inside + after]);
-    (*mesh, sheets.of_triangle, sheets.numbers) = match part {
-        Some(part) => part.put_back(surface, std::mem::take(mesh), std::mem::take(&mut sheets.of_triangle)),
-        None => surface.into_sheets(),
+    let Interfaces { mesh, between, .. } = interfaces;
+    let numbers;
+    (*mesh, *between, numbers) = match part {
+        Some(part) => part.put_back(surface, std::mem::take(mesh), std::mem::take(between)),
+        None => surface.into_parts(),
     };
     report.after = summarise(mesh);
     report.below_target = below(mesh);
-    Ok(report)
+    Ok((report, numbers))
 }
 
 /// Returns an error if the mesh is not well-formed, or if h is not positive and finite at a vertex.

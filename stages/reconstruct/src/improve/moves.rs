@@ -73,14 +73,14 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     }
     let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
     let normals = surface.normal_of([a, b, c]) + surface.normal_of([b, a, d]);
-    let sheet = surface.sheet[left as usize];
+    let pair = surface.pair[left as usize];
     let middle =
-        surface.field.projected_facing(sheet, 0.5 * (p + q), normals.normalize_or_zero(), 0.5 * p.distance(q))?;
+        surface.field.projected_facing(pair, 0.5 * (p + q), normals.normalize_or_zero(), 0.5 * p.distance(q))?;
     let m = surface.add_vertex(middle);
     surface.set_triangle(left, [a, m, c]);
-    surface.add_triangle([m, b, c], sheet);
+    surface.add_triangle([m, b, c], pair);
     surface.set_triangle(right, [b, m, d]);
-    surface.add_triangle([m, a, d], sheet);
+    surface.add_triangle([m, a, d], pair);
     Some(m)
 }
 
@@ -131,7 +131,7 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     if best == DVec2::ZERO {
         return false;
     }
-    match surface.field.projected_facing(site.sheet, site.place(best), site.normal, site.reach) {
+    match surface.field.projected_facing(site.pair, site.place(best), site.normal, site.reach) {
         Some(p) if worth(p) > before + LEAST_GAIN => {
             surface.move_vertex(vertex, p);
             true
@@ -154,7 +154,7 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
     if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
         return false;
     }
-    let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
+    let (start, pair) = (surface.positions[v], surface.pair_at(vertex));
     let (mut sum, mut weights, mut reach) = (DVec3::ZERO, 0.0, 0.0);
     for (a, b) in surface.link(vertex) {
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
@@ -165,14 +165,14 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
         reach += p.distance(start);
     }
     reach /= surface.degree(vertex) as f64;
-    let (_, gradient) = surface.field.value_gradient(sheet, start);
+    let (_, gradient) = surface.field.value_gradient(pair, start);
     let normal = gradient.normalize_or_zero();
     let way = share * (sum / weights - start);
     let way = way - normal * way.dot(normal);
     if !way.is_finite() || way.length() < 1e-4 * reach {
         return false;
     }
-    match surface.field.projected(sheet, start + way, reach) {
+    match surface.field.projected(pair, start + way, reach) {
         Some(p) => {
             surface.move_vertex(vertex, p);
             true
@@ -213,10 +213,10 @@ impl Move {
                 }
                 if share < 1.0 {
                     let best = surface.positions[v as usize];
-                    let on_sheet =
-                        |way: DVec3| surface.field.projected(surface.sheet_at(v), from + share * way, way.length());
+                    let on_interface =
+                        |way: DVec3| surface.field.projected(surface.pair_at(v), from + share * way, way.length());
                     let to = match surface.is_free(v) {
-                        true => on_sheet(best - from),
+                        true => on_interface(best - from),
                         false => part_of_slide(surface, v, [from, best], share),
                     }?;
                     surface.move_vertex(v, to);
@@ -233,9 +233,9 @@ impl Move {
                     let made = share == 0.0 && collapse_along(surface, keep, gone);
                     return made.then(|| with_neighbours(surface, keep));
                 };
-                let sheet = surface.sheet[t as usize];
+                let pair = surface.pair[t as usize];
                 let at =
-                    if share == 0.0 { p } else { surface.field.projected(sheet, p.lerp(q, share), p.distance(q))? };
+                    if share == 0.0 { p } else { surface.field.projected(pair, p.lerp(q, share), p.distance(q))? };
                 collapse(surface, keep, gone, at).then(|| with_neighbours(surface, keep))
             }
             Self::Split(a, b) => split(surface, a, b).map(|middle| with_neighbours(surface, middle)),

@@ -6,16 +6,17 @@
 //! [`isoparticles_mesh::inside`]. Where a grid line crosses a triangle, the material changes from
 //! one side of the interface to the other.
 
+use crate::interfaces::Interface;
 use glam::DVec3;
-use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
+use isoparticles_field::materials::MaterialId;
+use isoparticles_mesh::inside::{Crossing, crossings};
 use isoparticles_mesh::spatial::Bounds;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::Geometry;
 use std::collections::HashSet;
 
 /// The grid nodes, and the set of those on the wrong side.
 #[derive(Clone)]
-pub(super) struct NodeSides<'a> {
+pub(crate) struct NodeSides<'a> {
     geometry: &'a Geometry,
     /// Samples of F at the nodes; a node with F = 0 has no side. Empty if every node has a side.
     samples: &'a [f32],
@@ -23,17 +24,20 @@ pub(super) struct NodeSides<'a> {
 }
 
 impl<'a> NodeSides<'a> {
-    /// Creates the sides of the nodes of an image of F, given a closed mesh.
-    pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
-        let geometry = &image.geometry;
-        let wrong = nodes_on_wrong_side(mesh, image).into_iter().collect();
-        Self { geometry, samples: &image.data, wrong }
+    /// Creates the sides of the nodes of a grid from the nodes on the wrong side. `samples` are
+    /// those of F, or empty if every node has a side.
+    pub(crate) fn new(geometry: &'a Geometry, samples: &'a [f32], wrong: impl IntoIterator<Item = usize>) -> Self {
+        Self { geometry, samples, wrong: wrong.into_iter().collect() }
     }
 
-    /// Creates the sides of a grid in which every node has a side, from the indices of the nodes on
-    /// the wrong side.
-    pub(super) fn of(geometry: &'a Geometry, wrong: impl IntoIterator<Item = usize>) -> Self {
-        Self { geometry, samples: &[], wrong: wrong.into_iter().collect() }
+    /// Creates the sides of the nodes of an image of F, given a closed mesh.
+    #[cfg(test)]
+    pub(crate) fn of_object(
+        mesh: &isoparticles_mesh::TriangleMesh,
+        image: &'a isoparticles_volume::Image<f32>,
+    ) -> Self {
+        let wrong = isoparticles_mesh::inside::nodes_on_wrong_side(mesh, image);
+        Self::new(&image.geometry, &image.data, wrong)
     }
 
     /// Returns the number of nodes on the wrong side.
@@ -44,9 +48,9 @@ impl<'a> NodeSides<'a> {
     /// Returns the nodes that change sides if triangles are replaced by others with the same
     /// border. The iterator yields all old and all new triangles, each with the materials on its
     /// two sides.
-    pub(super) fn changed(&self, triangles: impl Iterator<Item = ([DVec3; 3], [u32; 2])>) -> Vec<usize> {
+    pub(super) fn changed(&self, triangles: impl Iterator<Item = ([DVec3; 3], Interface)>) -> Vec<usize> {
         let geometry = self.geometry;
-        let mut toggles: Vec<(Crossing, [u32; 2])> = Vec::new();
+        let mut toggles: Vec<(Crossing, Interface)> = Vec::new();
         for (corners, sides) in triangles {
             crossings(corners, geometry, |crossing| toggles.push((crossing, sides)));
         }
@@ -55,7 +59,7 @@ impl<'a> NodeSides<'a> {
         for row in toggles.chunk_by(|a, b| a.0.row == b.0.row) {
             // materials that the nodes have either before or after, but not both; empty if their
             // material is unchanged
-            let mut unequal: Vec<u32> = Vec::new();
+            let mut unequal: Vec<MaterialId> = Vec::new();
             for pair in row.windows(2) {
                 let [(from, sides), (to, _)] = [pair[0], pair[1]];
                 for side in sides {
@@ -122,9 +126,10 @@ mod tests {
     fn nodes_between_three_moving_interfaces_change_sides() {
         // along a grid line: before, 1 to 2 at 0.5 and 2 to 3 at 2.5; after, 1 to 3 at 1.5
         let geometry = Geometry::axis_aligned([4; 3], DVec3::ONE);
-        let sides = NodeSides::of(&geometry, []);
+        let sides = NodeSides::new(&geometry, &[], []);
         let wall = |x: f64| [(0.5, 0.5), (3.0, 0.5), (0.5, 3.0)].map(|(y, z)| DVec3::new(x, y, z));
-        let [first, second, both] = [(wall(0.5), [1, 2]), (wall(2.5), [2, 3]), (wall(1.5), [1, 3])];
+        let [first, second, both] =
+            [(0.5, [1, 2]), (2.5, [2, 3]), (1.5, [1, 3])].map(|(x, ids)| (wall(x), ids.map(MaterialId)));
         // in three rows, the first node keeps 1, the second and third nodes lose 2, and the last
         // keeps 3
         assert_eq!(sides.changed([first, second, both].into_iter()), [21, 22, 25, 26, 37, 38]);
@@ -134,7 +139,7 @@ mod tests {
     #[test]
     fn nodes_leave_their_side_only_if_more_are_repaired() {
         let geometry = Geometry::axis_aligned([4; 3], DVec3::ONE);
-        let mut sides = NodeSides::of(&geometry, [21, 37]);
+        let mut sides = NodeSides::new(&geometry, &[], [21, 37]);
         assert_eq!(sides.wrong_places(), [DVec3::new(1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, 2.0)]);
         for (changed, mended) in
             [(&[][..], Some(0)), (&[21], Some(1)), (&[5], None), (&[5, 21], None), (&[5, 21, 37], Some(1))]

@@ -299,10 +299,11 @@ fn count_below(surface: &Surface, triangles: &[u32], quality: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::super::sheets::Freedom;
+    use super::super::functions::Freedom;
     use super::super::tests::{ball, sampled};
     use super::*;
     use glam::DVec3;
+    use isoparticles_field::materials::MaterialId;
     use isoparticles_field::spline::CubicSpline;
     use isoparticles_mesh::TriangleMesh;
 
@@ -312,8 +313,14 @@ mod tests {
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
         let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
         // triangle 0 has no free corner, and all its corners lie on another interface, too
-        let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Sheet];
-        let surface = Surface::of_sheets(&mesh, vec![0, 1, 1, 1], freedom, &field, &|_| 1.0);
+        let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Interface];
+        let surface = Surface::of_interfaces(
+            &mesh,
+            [1, 2, 2, 2].map(|id| [MaterialId(id), MaterialId(0)]).to_vec(),
+            freedom,
+            &field,
+            &|_| 1.0,
+        );
         let tried = |operation: Operation, triangle: u32, quality: f64| {
             let level = Level { operation, limits: Limits::STRICT, bar: 1.0 };
             level.applies(&surface, triangle, quality)

@@ -1,8 +1,9 @@
 //! A copy of the triangles near the vertices that may change, as a separate surface. The time of
 //! the edits then depends on the size of the copy, not on that of the mesh.
 
-use super::SheetsOf;
+use super::functions::{Freedom, InterfaceFunctions};
 use super::surface::{DEAD, Size, Surface, compacted};
+use crate::interfaces::{Interface, Interfaces};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
@@ -51,15 +52,21 @@ impl Part {
 
     /// Returns the surface of the part. All vertices that may not change are frozen, among them
     /// those with triangles outside the part.
-    pub(super) fn surface<'a>(&self, mesh: &TriangleMesh, sheets: &SheetsOf<'a>, size: Size<'a>) -> Surface<'a> {
+    pub(super) fn surface<'a>(
+        &self,
+        Interfaces { mesh, between, .. }: &Interfaces,
+        freedom: &[Freedom],
+        functions: &'a dyn InterfaceFunctions,
+        size: Size<'a>,
+    ) -> Surface<'a> {
         let local = |v: u32| self.vertices.binary_search(&v).map_or(u32::MAX, |n| n as u32);
         let own = TriangleMesh {
             vertices: self.vertices.iter().map(|&v| mesh.vertices[v as usize]).collect(),
             triangles: self.triangles.par_iter().map(|&t| mesh.triangles[t as usize].map(local)).collect(),
         };
-        let of_triangle = self.triangles.iter().map(|&t| sheets.of_triangle[t as usize]).collect();
-        let freedom = self.vertices.iter().map(|&v| sheets.freedom[v as usize]).collect();
-        let mut surface = Surface::of_sheets(&own, of_triangle, freedom, sheets.field, size);
+        let between = self.triangles.iter().map(|&t| between[t as usize]).collect();
+        let freedom = self.vertices.iter().map(|&v| freedom[v as usize]).collect();
+        let mut surface = Surface::of_interfaces(&own, between, freedom, functions, size);
         surface.region = Some(self.region);
         surface.frozen.iter_mut().zip(&self.may_change).for_each(|(frozen, may_change)| *frozen |= !may_change);
         surface
@@ -71,8 +78,8 @@ impl Part {
         self,
         surface: Surface,
         mesh: TriangleMesh,
-        mut of_triangle: Vec<u32>,
-    ) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
+        mut between: Vec<Interface>,
+    ) -> (TriangleMesh, Vec<Interface>, Vec<u32>) {
         let TriangleMesh { mut vertices, mut triangles } = mesh;
         let (old, first_added) = (self.vertices.len(), vertices.len() as u32);
         let added = surface.positions.len() - old;
@@ -85,11 +92,11 @@ impl Part {
                 Some(&global) => triangles[global as usize] = corners,
                 None => {
                     triangles.push(corners);
-                    of_triangle.push(surface.sheet[t]);
+                    between.push(surface.pair[t]);
                 }
             }
         }
-        compacted(&vertices, &triangles, of_triangle)
+        compacted(&vertices, &triangles, between)
     }
 }
 
@@ -110,7 +117,6 @@ mod tests {
     use super::super::acceptance::{Goal, Limits, commit_or_rollback};
     use super::super::moves::split;
     use super::super::patch::Patch;
-    use super::super::sheets::Freedom;
     use super::super::tests::{ball, sampled};
     use super::*;
     use glam::DVec3;
@@ -125,17 +131,11 @@ mod tests {
         let mut around = vec![false; mesh.vertices.len()];
         let centre = mesh.triangles[100][0];
         around[centre as usize] = true;
-        let sheets = SheetsOf {
-            field: &field,
-            of_triangle: vec![0; mesh.triangles.len()],
-            freedom: vec![Freedom::Sheet; mesh.vertices.len()],
-            wrong_nodes: None,
-            numbers: Vec::new(),
-        };
+        let (before, freedom) = (Interfaces::of_object(mesh.clone()), vec![Freedom::Interface; mesh.vertices.len()]);
         let size = |_: DVec3| 0.2;
         for splits in [0, 1] {
             let part = Part::near(&mesh, &around);
-            let mut surface = part.surface(&mesh, &sheets, &size);
+            let mut surface = part.surface(&before, &freedom, &field, &size);
             assert!(surface.triangles.len() < mesh.triangles.len() / 8);
             // three rings of six neighbours: 1 + 6 + 12 + 18
             assert_eq!(surface.frozen.iter().filter(|&&frozen| !frozen).count(), 37);
@@ -145,9 +145,9 @@ mod tests {
                 assert!(split(&mut surface, own, end).is_some());
                 assert!(commit_or_rollback(&mut surface, &Limits::LOOSE, Goal::Keep { floor: 0.0 }).is_some());
             }
-            let (after, sheet, numbers) = part.put_back(surface, mesh.clone(), sheets.of_triangle.clone());
+            let (after, pair, numbers) = part.put_back(surface, mesh.clone(), before.between.clone());
             assert_eq!(after.vertices.len(), mesh.vertices.len() + splits);
-            assert_eq!(after.triangles.len(), sheet.len());
+            assert_eq!(after.triangles.len(), pair.len());
             assert_eq!(numbers.len(), after.vertices.len());
             assert!(mesh.vertices.iter().zip(&numbers).all(|(p, &v)| after.vertices[v as usize] == *p));
             let kept = mesh.triangles.iter().zip(&after.triangles).filter(|(before, after)| before == after).count();

@@ -1,8 +1,9 @@
 //! A copy of a part of the surface, which can be edited independently. All commits in the part
 //! become one transaction of the whole surface.
 
-use super::sheets::Freedom;
+use super::functions::Freedom;
 use super::surface::{DEAD, Facts, Size, Surface};
+use crate::interfaces::Interface;
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
@@ -124,7 +125,7 @@ impl<'a> Patch<'a> {
                         edits.facts.push((global, facts));
                     }
                 }
-                None if corners != DEAD => edits.new_triangles.push((corners, part.sheet[t], facts)),
+                None if corners != DEAD => edits.new_triangles.push((corners, part.pair[t], facts)),
                 None => {}
             }
         }
@@ -144,7 +145,7 @@ pub(super) struct Edits {
     /// Changed triangles and their new corners, [`DEAD`] if removed.
     retriangled: Vec<(u32, [u32; 3])>,
     /// Corners, interfaces and facts of the added triangles.
-    new_triangles: Vec<([u32; 3], u32, Facts)>,
+    new_triangles: Vec<([u32; 3], Interface, Facts)>,
     /// Original triangles that changed in the part, and their facts.
     facts: Vec<(u32, Facts)>,
 }
@@ -168,8 +169,8 @@ impl Edits {
             whole.freedom[v as usize] = freedom;
         }
         self.retriangled.into_iter().for_each(|(t, corners)| whole.set_triangle(t, corners.map(number)));
-        for (corners, sheet, _) in self.new_triangles {
-            whole.add_triangle(corners.map(number), sheet);
+        for (corners, pair, _) in self.new_triangles {
+            whole.add_triangle(corners.map(number), pair);
         }
     }
 

@@ -99,7 +99,7 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, curves: Curves, tally:
             continue;
         };
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
-        let middle = surface.field.projected(surface.sheet[left as usize], 0.5 * (p + q), p.distance(q));
+        let middle = surface.field.projected(surface.pair[left as usize], 0.5 * (p + q), p.distance(q));
         for (keep, gone, at) in [(a, b, middle), (a, b, Some(p)), (b, a, Some(q))] {
             let Some(at) = at else { continue };
             let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.relative_length(keep, v) > LONG);

@@ -69,6 +69,7 @@ fn distance<S: Simd>([u, v, w]: [f64x8<S>; 3], end: &[f64; 3]) -> f64x8<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::interfaces::OBJECT;
     use fearless_simd::{Level, dispatch};
     use glam::DVec2;
     use isoparticles_field::random::uniform;
@@ -87,7 +88,7 @@ mod tests {
             };
             let site = Site {
                 start,
-                sheet: 0,
+                pair: OBJECT,
                 normal,
                 axes,
                 bend: [5, 6, 7].map(|k| random(n, k)),

@@ -3,13 +3,14 @@
 
 use super::surface::Surface;
 use super::surface::measure::quality_facing;
+use crate::interfaces::Interface;
 use glam::{DVec2, DVec3};
 use isoparticles_field::spline::LEAST_GRADIENT;
 
 /// The geometry around a vertex that may move on its interface.
 pub(super) struct Site {
     pub(super) start: DVec3,
-    pub(super) sheet: u32,
+    pub(super) pair: Interface,
     pub(super) normal: DVec3,
     /// Orthonormal axes of the tangent plane.
     pub(super) axes: [DVec3; 2],
@@ -30,8 +31,8 @@ impl Site {
         if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
             return None;
         }
-        let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
-        let jet = surface.field.jet(sheet, start);
+        let (start, pair) = (surface.positions[v], surface.pair_at(vertex));
+        let jet = surface.field.jet(pair, start);
         let slope = jet.gradient.length();
         if slope < LEAST_GRADIENT {
             return None;
@@ -42,7 +43,7 @@ impl Site {
         let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
         let [h1, h2] = axes.map(|axis| jet.hessian * axis / slope);
         let bend = [axes[0].dot(h1), axes[0].dot(h2), axes[1].dot(h2)];
-        Some(Self { start, sheet, normal, axes, bend, ring, reach })
+        Some(Self { start, pair, normal, axes, bend, ring, reach })
     }
 
     /// Returns the point of the paraboloid above the coordinates `at` (mm) in the tangent plane.

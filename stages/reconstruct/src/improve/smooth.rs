@@ -123,7 +123,7 @@ impl Step {
         if self.sum(at) - self.before <= least {
             return false;
         }
-        match surface.field.projected_facing(self.site.sheet, self.site.place(at), self.site.normal, self.site.reach) {
+        match surface.field.projected_facing(self.site.pair, self.site.place(at), self.site.normal, self.site.reach) {
             Some(p) => {
                 surface.move_vertex(self.vertex, p);
                 true

@@ -4,9 +4,10 @@
 mod edits;
 pub(super) mod measure;
 
+use super::functions::{Freedom, InterfaceFunctions};
 use super::grid::TriangleGrid;
 use super::nodes::NodeSides;
-use super::sheets::{Freedom, Sheets};
+use crate::interfaces::{Interface, OBJECT};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::incidence::Incidence;
@@ -77,14 +78,14 @@ pub(super) struct Curve {
     /// The two neighbours on the curve.
     pub(super) ends: [u32; 2],
     /// The two or three interfaces that meet on the curve, ascending.
-    pub(super) sheets: Vec<u32>,
+    pub(super) pairs: Vec<Interface>,
 }
 
 /// A mesh that can be edited.
 #[derive(Clone)]
 pub(super) struct Surface<'a> {
     /// The implicit functions of the interfaces.
-    pub(super) field: &'a dyn Sheets,
+    pub(super) field: &'a dyn InterfaceFunctions,
     /// Target edge length h (mm) at a grid position.
     pub(super) size: Size<'a>,
     /// Positions of all vertices, including removed ones.
@@ -94,7 +95,7 @@ pub(super) struct Surface<'a> {
     /// Triangles; [`DEAD`] if removed.
     pub(super) triangles: Vec<[u32; 3]>,
     /// Interface of each triangle, including removed ones. No edit changes it.
-    pub(super) sheet: Vec<u32>,
+    pub(super) pair: Vec<Interface>,
     /// Triangles around each vertex. They are in ascending order, which does not depend on earlier
     /// edits.
     pub(super) around: Vec<Vec<u32>>,
@@ -126,9 +127,9 @@ pub(super) struct Surface<'a> {
 impl<'a> Surface<'a> {
     /// Creates the surface of a well-formed mesh of one interface, with a filled grid.
     #[cfg(test)]
-    pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
-        let (sheet, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
-        let mut new = Self::of_sheets(mesh, sheet, freedom, field, size);
+    pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn InterfaceFunctions, size: Size<'a>) -> Self {
+        let (pair, freedom) = (vec![OBJECT; mesh.triangles.len()], vec![Freedom::Interface; mesh.vertices.len()]);
+        let mut new = Self::of_interfaces(mesh, pair, freedom, field, size);
         new.fill_grid();
         new
     }
@@ -136,11 +137,11 @@ impl<'a> Surface<'a> {
     /// Creates the surface of a well-formed mesh, given the interface of each triangle and the
     /// freedom of each vertex. A vertex of a curve becomes fixed if [`Self::curve_through`] finds
     /// no curve there. The surface has no grid ([`Self::fill_grid`]).
-    pub(super) fn of_sheets(
+    pub(super) fn of_interfaces(
         mesh: &TriangleMesh,
-        sheet: Vec<u32>,
+        pair: Vec<Interface>,
         freedom: Vec<Freedom>,
-        field: &'a dyn Sheets,
+        field: &'a dyn InterfaceFunctions,
         size: Size<'a>,
     ) -> Self {
         let incidence = Incidence::new(&mesh.triangles, mesh.vertices.len());
@@ -151,7 +152,7 @@ impl<'a> Surface<'a> {
             positions: mesh.vertices.clone(),
             target: mesh.vertices.par_iter().map(|&p| size(p)).collect(),
             triangles: mesh.triangles.clone(),
-            sheet,
+            pair,
             frozen: Vec::new(),
             freedom,
             around,
@@ -201,7 +202,7 @@ impl<'a> Surface<'a> {
             positions,
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
             triangles: triangles.iter().map(corners).collect(),
-            sheet: triangles.iter().map(|&t| self.sheet[t as usize]).collect(),
+            pair: triangles.iter().map(|&t| self.pair[t as usize]).collect(),
             freedom: vertices.iter().map(|&v| self.freedom[v as usize]).collect(),
             frozen: vertices.iter().zip(&around).map(is_frozen).collect(),
             around,
@@ -217,12 +218,12 @@ impl<'a> Surface<'a> {
     /// Returns the mesh without removed vertices and triangles, in the same order.
     #[cfg(test)]
     pub(super) fn into_mesh(self) -> TriangleMesh {
-        self.into_sheets().0
+        self.into_parts().0
     }
 
     /// Returns the mesh without removed vertices and triangles ([`compacted`]).
-    pub(super) fn into_sheets(self) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
-        compacted(&self.positions, &self.triangles, self.sheet)
+    pub(super) fn into_parts(self) -> (TriangleMesh, Vec<Interface>, Vec<u32>) {
+        compacted(&self.positions, &self.triangles, self.pair)
     }
 
     /// Returns the positions of the corners of a triangle.
@@ -313,7 +314,7 @@ impl<'a> Surface<'a> {
             }
         }
         let (left, right) = (left?, right?);
-        (self.sheet[left.0 as usize] == self.sheet[right.0 as usize]).then_some([left, right])
+        (self.pair[left.0 as usize] == self.pair[right.0 as usize]).then_some([left, right])
     }
 
     /// Returns whether two vertices are joined by an edge.
@@ -330,26 +331,27 @@ impl<'a> Surface<'a> {
     /// the vertex must belong to two or three interfaces, and those of each interface must form a
     /// fan from one neighbour on the curve to the other.
     pub(super) fn curve_through(&self, vertex: u32) -> Option<Curve> {
-        let fan: Vec<(u32, u32, u32)> = self.around[vertex as usize]
+        let fan: Vec<(Interface, u32, u32)> = self.around[vertex as usize]
             .iter()
             .zip(self.link(vertex))
-            .map(|(&t, (a, b))| (self.sheet[t as usize], a, b))
+            .map(|(&t, (a, b))| (self.pair[t as usize], a, b))
             .collect();
-        let mut sheets: Vec<u32> = fan.iter().map(|&(sheet, ..)| sheet).collect();
-        sheets.sort_unstable();
-        sheets.dedup();
-        if !(2..=3).contains(&sheets.len()) {
+        let mut pairs: Vec<Interface> = fan.iter().map(|&(pair, ..)| pair).collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        if !(2..=3).contains(&pairs.len()) {
             return None;
         }
-        let mut neighbours: Vec<(u32, u32)> = fan.iter().flat_map(|&(sheet, a, b)| [(a, sheet), (b, sheet)]).collect();
+        let mut neighbours: Vec<(u32, Interface)> =
+            fan.iter().flat_map(|&(pair, a, b)| [(a, pair), (b, pair)]).collect();
         neighbours.sort_unstable();
         // an edge of the curve has one triangle of each interface
         let of_edges = neighbours.chunk_by(|a, b| a.0 == b.0);
         let mut on_curve =
-            of_edges.filter(|own| own.iter().map(|own| own.1).eq(sheets.iter().copied())).map(|own| own[0].0);
+            of_edges.filter(|own| own.iter().map(|own| own.1).eq(pairs.iter().copied())).map(|own| own[0].0);
         let ends = [on_curve.next()?, on_curve.next()?];
-        let is_fan = |&sheet: &u32| {
-            let mut left: Vec<(u32, u32)> = fan.iter().filter(|own| own.0 == sheet).map(|own| (own.1, own.2)).collect();
+        let is_fan = |&pair: &Interface| {
+            let mut left: Vec<(u32, u32)> = fan.iter().filter(|own| own.0 == pair).map(|own| (own.1, own.2)).collect();
             let mut at = ends[0];
             while at != ends[1] {
                 let Some(next) = left.iter().position(|&(a, b)| a == at || b == at) else { return false };
@@ -358,17 +360,17 @@ impl<'a> Surface<'a> {
             }
             left.is_empty()
         };
-        (on_curve.next().is_none() && sheets.iter().all(is_fan)).then_some(Curve { ends, sheets })
+        (on_curve.next().is_none() && pairs.iter().all(is_fan)).then_some(Curve { ends, pairs })
     }
 
     /// Returns whether a vertex may move on its interface.
     pub(super) fn is_free(&self, vertex: u32) -> bool {
-        self.freedom[vertex as usize] == Freedom::Sheet
+        self.freedom[vertex as usize] == Freedom::Interface
     }
 
     /// Returns the interface of a free vertex, or 0 if the vertex has no triangles.
-    pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
-        self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
+    pub(super) fn pair_at(&self, vertex: u32) -> Interface {
+        self.around[vertex as usize].first().map_or(OBJECT, |&t| self.pair[t as usize])
     }
 
     /// Returns whether a vertex has too few triangles to lose one. A vertex that is not free never
@@ -394,8 +396,8 @@ impl<'a> Surface<'a> {
     /// Returns whether all corners of a triangle lie on junction curves: no corner is free, and
     /// each also belongs to another interface.
     pub(super) fn is_between_curves(&self, triangle: u32) -> bool {
-        let own = self.sheet[triangle as usize];
-        let is_on_others = |v: u32| self.around[v as usize].iter().any(|&t| self.sheet[t as usize] != own);
+        let own = self.pair[triangle as usize];
+        let is_on_others = |v: u32| self.around[v as usize].iter().any(|&t| self.pair[t as usize] != own);
         self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v) && is_on_others(v))
     }
 
@@ -406,8 +408,8 @@ impl<'a> Surface<'a> {
         if self.is_free(vertex) {
             return self.degree(vertex) as i64 - 6;
         }
-        let sheet = self.sheet[triangle as usize];
-        let own = self.around[vertex as usize].iter().filter(|&&t| self.sheet[t as usize] == sheet);
+        let pair = self.pair[triangle as usize];
+        let own = self.around[vertex as usize].iter().filter(|&&t| self.pair[t as usize] == pair);
         let (mut count, mut angle) = (0, 0.0);
         for &t in own {
             let corners = self.triangles[t as usize];
@@ -477,8 +479,8 @@ impl<'a> Surface<'a> {
 pub(super) fn compacted(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    mut sheet: Vec<u32>,
-) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
+    mut pair: Vec<Interface>,
+) -> (TriangleMesh, Vec<Interface>, Vec<u32>) {
     let alive = || triangles.iter().filter(|corners| **corners != DEAD);
     let mut number = vec![u32::MAX; positions.len()];
     alive().flatten().for_each(|&v| number[v as usize] = 0);
@@ -489,8 +491,8 @@ pub(super) fn compacted(
     }
     mesh.triangles = alive().map(|corners| corners.map(|v| number[v as usize])).collect();
     let mut is_alive = triangles.iter().map(|corners| *corners != DEAD);
-    sheet.retain(|_| is_alive.next() == Some(true));
-    (mesh, sheet, number)
+    pair.retain(|_| is_alive.next() == Some(true));
+    (mesh, pair, number)
 }
 
 /// Returns the distance from `p` to a triangle.

@@ -204,13 +204,14 @@ fn mean_edge(surface: &Surface) -> f64 {
 mod tests {
     use super::*;
     use crate::check::{CheckOptions, check_object};
-    use crate::complete::ObjectTruth;
     use crate::improve::acceptance::commit_or_rollback;
     use crate::improve::moves;
     use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
+    use crate::subject::Object;
     use isoparticles_field::random::uniform;
     use isoparticles_field::spline::CubicSpline;
+    use isoparticles_field::topology::FieldTopology;
     use isoparticles_mesh::quality::{radius_ratios, summarise};
     use isoparticles_mesh::{TriangleMesh, shapes};
 
@@ -266,7 +267,7 @@ mod tests {
         let mean = |mesh: &TriangleMesh| summarise(mesh).radius_ratio_mean;
         assert!(mean(&made) > mean(&mesh) + 0.02, "{} from {}", mean(&made), mean(&mesh));
         let options = CheckOptions {
-            truth: Some(&ObjectTruth { field: &field, samples: None }),
+            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
             max_vertex_distance: Some(1e-4),
             ..CheckOptions::default()
         };
@@ -280,11 +281,11 @@ mod tests {
         let image = sampled([166; 3], DVec3::splat(0.1), ball(CENTRE, RADIUS));
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &field, &size);
-        surface.sides = Some(NodeSides::new(&mesh, &image));
-        let before = NodeSides::new(&mesh, &image);
+        surface.sides = Some(NodeSides::of_object(&mesh, &image));
+        let before = NodeSides::of_object(&mesh, &image);
         sweep(&mut surface, &LIMITS, 3, false, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
         let after = surface.sides.take().expect("they are still guarded");
-        assert_eq!(after.difference(&NodeSides::new(&surface.into_mesh(), &image)), [0; 0]);
+        assert_eq!(after.difference(&NodeSides::of_object(&surface.into_mesh(), &image)), [0; 0]);
         assert!(after.wrong_count() < before.wrong_count() - 5, "{} of {}", after.wrong_count(), before.wrong_count());
         assert_eq!(
             before.wrong_count() - after.wrong_count(),

@@ -19,6 +19,7 @@ use super::nodes::NodeSides;
 use super::patch::Patch;
 use super::remesh::{self, Curves};
 use super::surface::{DEAD, Surface, edges_of};
+use crate::interfaces::Interface;
 use glam::DVec3;
 use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
@@ -193,14 +194,14 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
     triangles.sort_unstable();
     triangles.dedup();
     let samples = triangles.into_iter().flat_map(|t| {
-        let sheet = surface.sheet[t as usize];
+        let pair = surface.pair[t as usize];
         let [a, b, c] = surface.corners(t);
         let normal = surface.normal_of(surface.triangles[t as usize]);
         let places = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
-        let foot = move |p| Some((surface.field.projected_facing(sheet, p, normal, place.length)?, sheet));
+        let foot = move |p| Some((surface.field.projected_facing(pair, p, normal, place.length)?, pair));
         places.into_iter().filter_map(foot)
     });
-    let demands = samples.map(|(p, sheet)| Demand { at: p, length: 1.0 / curvature(surface, sheet, p) });
+    let demands = samples.map(|(p, pair)| Demand { at: p, length: 1.0 / curvature(surface, pair, p) });
     demands.filter(|demand| demand.length < place.length).collect()
 }
 
@@ -213,7 +214,7 @@ fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
 
 /// Returns the square root of the sum of the squared principal curvatures of an interface at a
 /// point, per mm.
-fn curvature(surface: &Surface, sheet: u32, p: DVec3) -> f64 {
-    let tensor = curvature_tensor(&surface.field.jet(sheet, p));
+fn curvature(surface: &Surface, pair: Interface, p: DVec3) -> f64 {
+    let tensor = curvature_tensor(&surface.field.jet(pair, p));
     tensor.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt()
 }

@@ -4,14 +4,17 @@
 use super::patch::Patch;
 use super::*;
 use crate::check::{CheckOptions, CheckReport, Fault, check_object};
-use crate::complete::ObjectTruth;
+use crate::interfaces::OBJECT;
+use crate::subject::Object;
 use acceptance::{Goal, commit_or_rollback};
 use constants::{FIT, REACHES};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::shapes;
 use isoparticles_mesh::spatial::Bounds;
-use isoparticles_volume::Geometry;
+use isoparticles_volume::{Geometry, Image};
 use remesh::Curves;
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
@@ -43,7 +46,7 @@ fn ring(centre: DVec3, radius: f64, tube: f64) -> impl Fn(DVec3) -> f64 {
 /// topology as before.
 pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &CheckReport, label: &str) -> CheckReport {
     let options = CheckOptions {
-        truth: Some(&ObjectTruth { field, samples: None }),
+        truth: Some(&Object { field, topology: &FieldTopology::new(field), samples: None }),
         max_vertex_distance: Some(1e-4),
         ..CheckOptions::default()
     };
@@ -55,9 +58,44 @@ pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &Ch
     after
 }
 
+/// Improves the mesh of one object. The vertices in `held` are fixed.
+pub(crate) fn improve_object(
+    mesh: &mut TriangleMesh,
+    held: &[u32],
+    field: &CubicSpline,
+    h: &(dyn Fn(DVec3) -> f64 + Sync),
+    options: &ImproveOptions,
+    step: Step,
+) -> Result<(ImproveReport, Vec<u32>)> {
+    let mut freedom = vec![Freedom::Interface; mesh.vertices.len()];
+    held.iter().for_each(|&v| freedom[v as usize] = Freedom::None);
+    let mut interfaces = Interfaces::of_object(std::mem::take(mesh));
+    let made = improve(&mut interfaces, Constraints { functions: field, freedom, sides: None }, h, options, step);
+    *mesh = interfaces.mesh;
+    made
+}
+
+/// Improves the mesh of one object. If the samples of F are given, the grid nodes keep their sides.
+pub(super) fn improve_guarded(
+    mesh: &mut TriangleMesh,
+    field: &CubicSpline,
+    samples: Option<&Image<f32>>,
+    h: &(dyn Fn(DVec3) -> f64 + Sync),
+    options: &ImproveOptions,
+) -> ImproveReport {
+    let sides = samples.map(|image| NodeSides::of_object(mesh, image));
+    let freedom = vec![Freedom::Interface; mesh.vertices.len()];
+    let mut interfaces = Interfaces::of_object(std::mem::take(mesh));
+    let (report, _) =
+        improve(&mut interfaces, Constraints { functions: field, freedom, sides }, h, options, &|| Ok(()))
+            .expect("a sound mesh");
+    *mesh = interfaces.mesh;
+    report
+}
+
 /// Options that improve triangles below 0.6 without sweeps.
 const WORST_ONLY: ImproveOptions =
-    ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, sides: None, around: None, adjusts: false };
+    ImproveOptions { target: 0.6, relaxation_sweeps: 0, thins: false, around: None, adjusts: false };
 
 /// Remeshes a mesh of marching cubes to edges of length h, as patches are remeshed, and improves
 /// it. If `sides` is given, the grid nodes keep their sides.
@@ -70,13 +108,13 @@ pub(super) fn remeshed(
     let mut mesh = marching_cubes(image, 0.0);
     mesh.vertices.iter_mut().for_each(|p| *p = field.project(*p, 1.0, 1e-7).unwrap_or(*p));
     let mut surface = Surface::new(&mesh, field, h);
-    surface.sides = sides.map(|image| NodeSides::new(&mesh, image));
+    surface.sides = sides.map(|image| NodeSides::of_object(&mesh, image));
     for _ in 0..8 {
         remesh::round(&mut surface, &Limits::STRICT, Curves::Keep, &mut Tally::default());
     }
     mesh = surface.into_mesh();
-    let options = ImproveOptions { relaxation_sweeps: 4, sides, ..WORST_ONLY };
-    let (report, _) = improve(&mut mesh, &[], field, h, &options, &|| Ok(())).expect("a sound mesh");
+    let options = ImproveOptions { relaxation_sweeps: 4, ..WORST_ONLY };
+    let report = improve_guarded(&mut mesh, field, sides, h, &options);
     (mesh, report)
 }
 
@@ -158,7 +196,7 @@ fn improving_the_worst_triangles_keeps_the_others() {
     );
     let untouched: Vec<DVec3> = mesh.vertices.clone();
     let h = 0.3;
-    let (report, _) = improve(&mut mesh, &[], &field, &|_| h, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve_object(&mut mesh, &[], &field, &|_| h, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "dragged vertices");
     assert!(after.quality.radius_ratio_min >= 0.6, "{:?}", after.quality);
     assert_eq!(report.below_target, 0);
@@ -182,7 +220,7 @@ fn polishing_raises_quality_and_keeps_the_counts() {
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
     // without removal of vertices
     let options = ImproveOptions { thins: false, ..ImproveOptions::default() };
-    improve(&mut mesh, &[], &field, &|_| 0.6, &options, &|| Ok(())).expect("a sound mesh");
+    improve_object(&mut mesh, &[], &field, &|_| 0.6, &options, &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "shaken sphere");
     // measured: mean 0.871 to 0.996, minimum 0.296 to 0.943
     assert!(before.quality.radius_ratio_mean < 0.9, "{:?}", before.quality);
@@ -375,17 +413,17 @@ fn edge_midpoints_stay_on_their_face_of_a_thin_wall() {
     for outward in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::ONE.normalize()] {
         for depth in [0.2, 0.6, 0.8] {
             let middle = centre + (6.5 - depth) * outward;
-            let newton = surface.field.projected(0, middle, 2.0).expect("a point of F = 0").distance(centre);
+            let newton = surface.field.projected(OBJECT, middle, 2.0).expect("a point of F = 0").distance(centre);
             assert!((newton - if depth < 0.5 { 6.5 } else { 5.5 }).abs() < 0.02, "{newton}");
             // the normal of a triangle differs from that of F
             let normal = (outward + 0.3 * outward.any_orthonormal_vector()).normalize();
-            let facing = surface.field.projected_facing(0, middle, normal, 2.0).expect("the outer face");
+            let facing = surface.field.projected_facing(OBJECT, middle, normal, 2.0).expect("the outer face");
             assert!((facing.distance(centre) - 6.5).abs() < 0.02, "{facing}");
-            let other = surface.field.projected_facing(0, middle, -normal, 2.0).expect("the inner face");
+            let other = surface.field.projected_facing(OBJECT, middle, -normal, 2.0).expect("the inner face");
             assert!((other.distance(centre) - 5.5).abs() < 0.02, "{other}");
         }
     }
-    assert_eq!(surface.field.projected_facing(0, centre, DVec3::X, 2.0), None);
+    assert_eq!(surface.field.projected_facing(OBJECT, centre, DVec3::X, 2.0), None);
 }
 
 #[test]
@@ -414,7 +452,7 @@ fn an_error_of_step_leaves_the_mesh_unchanged() {
     let stopped_after = |most: usize| {
         let (calls, mut mesh) = (AtomicUsize::new(0), before.clone());
         let step = || if calls.fetch_add(1, Relaxed) < most { Ok(()) } else { Err(Error::input("stopped", "", "")) };
-        let ended = improve(&mut mesh, &[], &scene.field, &|_| 2.4, &ImproveOptions::default(), &step);
+        let ended = improve_object(&mut mesh, &[], &scene.field, &|_| 2.4, &ImproveOptions::default(), &step);
         (ended.is_err(), mesh == before, calls.into_inner())
     };
     let (stopped, unchanged, calls) = stopped_after(usize::MAX);
@@ -434,7 +472,7 @@ fn a_good_mesh_is_not_changed() {
         *p = field.project(*p + centre, 1.0, 1e-7).unwrap_or(*p);
     }
     let before = mesh.clone();
-    let (report, _) = improve(&mut mesh, &[], &field, &|_| 0.6, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
+    let (report, _) = improve_object(&mut mesh, &[], &field, &|_| 0.6, &WORST_ONLY, &|| Ok(())).expect("a sound mesh");
     assert_eq!(mesh, before);
     assert_eq!(report.moves, Tally::default());
 }
@@ -448,10 +486,14 @@ fn guarded_nodes_stay_on_their_side() {
         if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
     });
     let field = CubicSpline::new(&image);
+    let topology = FieldTopology::new(&field);
     let start = marching_cubes(&image, 0.0);
     let before = check_object(
         &start,
-        &CheckOptions { truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }), ..CheckOptions::default() },
+        &CheckOptions {
+            truth: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
+            ..CheckOptions::default()
+        },
     );
     assert_eq!(before.count(Fault::NodesOnWrongSide), 0);
     let run = |sides: Option<&Image<f32>>| {
@@ -459,7 +501,7 @@ fn guarded_nodes_stay_on_their_side() {
         let after = check_object(
             &mesh,
             &CheckOptions {
-                truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }),
+                truth: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
                 ..CheckOptions::default()
             },
         );
@@ -544,18 +586,20 @@ fn non_manifold_parts_stay_and_invalid_input_fails() {
     mesh.triangles[40].swap(0, 1);
     let kept = gone.map(|v| mesh.vertices[v as usize]);
     let (report, _) =
-        improve(&mut mesh, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).expect("well formed");
+        improve_object(&mut mesh, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).expect("well formed");
     assert!(report.frozen_vertices >= 9);
     assert!(kept.iter().all(|p| mesh.vertices.contains(p)));
 
-    assert!(improve(&mut mesh.clone(), &[], &field, &|_| 0.0, &ImproveOptions::default(), &|| Ok(())).is_err());
-    assert!(improve(&mut mesh.clone(), &[], &field, &|_| f64::NAN, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve_object(&mut mesh.clone(), &[], &field, &|_| 0.0, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(
+        improve_object(&mut mesh.clone(), &[], &field, &|_| f64::NAN, &ImproveOptions::default(), &|| Ok(())).is_err()
+    );
     let mut broken = mesh.clone();
     broken.triangles[0][1] = u32::MAX;
-    assert!(improve(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve_object(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     broken = mesh;
     broken.vertices[0].x = f64::NAN;
-    assert!(improve(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve_object(&mut broken, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     let mut empty = TriangleMesh::default();
-    assert!(improve(&mut empty, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_ok());
+    assert!(improve_object(&mut empty, &[], &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_ok());
 }

@@ -4,10 +4,13 @@
 use super::acceptance::{Goal, commit_or_rollback};
 use super::constants::{AIM, FIT};
 use super::surface::measure::quality_of;
-use super::tests::{ball, remeshed, sampled};
+use super::tests::{ball, improve_guarded, remeshed, sampled};
 use super::*;
 use crate::check::{CheckOptions, Fault, check_object};
-use crate::complete::ObjectTruth;
+use crate::interfaces::OBJECT;
+use crate::subject::Object;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::shapes;
 
 const LIMITS: Limits = Limits::STRICT;
@@ -21,14 +24,16 @@ fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
     });
     let field = CubicSpline::new(&image);
     let (mut mesh, _) = remeshed(&image, &field, &|_| 1.8, None);
-    let options = ImproveOptions { sides: Some(&image), ..ImproveOptions::default() };
-    let (report, _) = improve(&mut mesh, &[], &field, &|_| 1.8, &options, &|| Ok(())).expect("a sound mesh");
+    let report = improve_guarded(&mut mesh, &field, Some(&image), &|_| 1.8, &ImproveOptions::default());
     let [before, after] = report.nodes_on_wrong_side.expect("nodes are guarded");
     assert!(before > 0, "there was nothing to do");
     assert_eq!(after, 0, "{before} before, {:?}", report.moves);
     let checked = check_object(
         &mesh,
-        &CheckOptions { truth: Some(&ObjectTruth { field: &field, samples: Some(&image) }), ..CheckOptions::default() },
+        &CheckOptions {
+            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
+            ..CheckOptions::default()
+        },
     );
     assert_eq!(checked.count(Fault::NodesOnWrongSide), 0);
     assert!(checked.quality.radius_ratio_min >= FIT, "{:?}", checked.quality);
@@ -86,8 +91,8 @@ fn triangles_on_short_fixed_sides_are_rated_by_height() {
     let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
     let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
     let judged = |ends: [Freedom; 2]| {
-        let freedom = vec![ends[0], ends[1], Freedom::Sheet, Freedom::Sheet];
-        let surface = Surface::of_sheets(&mesh, vec![0; 4], freedom, &field, &|_| 1.0);
+        let freedom = vec![ends[0], ends[1], Freedom::Interface, Freedom::Interface];
+        let surface = Surface::of_interfaces(&mesh, vec![OBJECT; 4], freedom, &field, &|_| 1.0);
         [0, 1, 2].map(|t| surface.quality(t))
     };
     let [plain, low, other] = judged([Freedom::None; 2]);

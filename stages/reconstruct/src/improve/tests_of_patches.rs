@@ -4,9 +4,11 @@
 use super::surface::measure::quality_of;
 use super::*;
 use crate::check::{CheckOptions, Fault, check_object};
-use crate::complete::ObjectTruth;
+use crate::subject::Object;
 use constants::FIT;
-use isoparticles_volume::Geometry;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
+use isoparticles_volume::{Geometry, Image};
 
 /// Number of vertices along a side of the lattice, and number of edges between displaced vertices.
 pub(super) const SIDE: usize = 64;
@@ -111,7 +113,7 @@ fn a_small_component_of_needles_becomes_a_fit_ellipsoid() {
         optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally).expect("nothing stops it");
         assert_eq!(tally.remeshed_patches, 1, "{tally:?}");
         let options = CheckOptions {
-            truth: Some(&ObjectTruth { field: &field, samples: None }),
+            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
             max_vertex_distance: Some(1e-4),
             ..Default::default()
         };

@@ -1,6 +1,6 @@
 //! Meshes that are denser than h: thinning removes superfluous vertices and keeps the topology.
 
-use super::tests::assert_sound;
+use super::tests::{assert_sound, improve_object};
 use super::tests_of_patches::{SIDE, lattice, plane};
 use super::thin::thin_out;
 use super::*;
@@ -42,7 +42,7 @@ fn thinning_keeps_the_topology_of_walls_thinner_than_h() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let mut mesh = mesh.clone();
         let options = ImproveOptions { thins, ..ImproveOptions::default() };
-        let report = pool.install(|| improve(&mut mesh, &[], &scene.field, &|_| h, &options, &|| Ok(())));
+        let report = pool.install(|| improve_object(&mut mesh, &[], &scene.field, &|_| h, &options, &|| Ok(())));
         let collapses = report.expect("a sound mesh").0.moves.collapses;
         (assert_sound(&mesh, &scene.field, &before, "gyroid"), mesh, collapses)
     };

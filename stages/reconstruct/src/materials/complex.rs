@@ -50,7 +50,7 @@ impl<'a> Complex<'a> {
     /// Returns the interfaces that consist of some facets, and the dimension of the stratum of each
     /// vertex.
     pub fn interfaces(&self, facets: &[Facet]) -> (Interfaces, Vec<usize>) {
-        let triangles = facets.iter().map(|f| (f.vertices, self.sheet(f))).collect();
+        let triangles = facets.iter().map(|f| (f.vertices, self.interface(f))).collect();
         let (mut interfaces, used) = Interfaces::compact(self.points(), triangles);
         let number = |v: u32| used.binary_search(&v).map_or(u32::MAX, |n| n as u32);
         let renumbered = |[a, b]: Segment| segment(number(a), number(b));
@@ -148,7 +148,7 @@ impl<'a> Complex<'a> {
 
     /// Returns the materials inside and outside of a facet. The outside is replaced by the space
     /// beyond a plane if all vertices of the facet lie in this plane.
-    pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
+    pub fn interface(&self, facet: &Facet) -> [MaterialId; 2] {
         let [inside, outside] = self.regions_of(facet);
         if outside != MaterialId::OUTSIDE {
             return [inside, outside];
@@ -237,9 +237,9 @@ impl Points<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::prepare::Taken;
     use super::super::scenes::stratum;
     use super::*;
+    use crate::prepare::PrepareReport;
     use isoparticles_field::materials::{Analytic, half_space, maximum, negative};
 
     /// Returns the material of a tetrahedron with a vertex on each stratum, in a slab between z = 2
@@ -256,7 +256,7 @@ mod tests {
             delaunay,
             strata: strata.map(|ids| stratum(&ids)).to_vec(),
             sizes: vec![1.0; 4],
-            report: Taken::default(),
+            report: PrepareReport::default(),
         };
         Complex::new(prepared, &analytic, DVec3::splat(40.0), &Options::default()).material(t)
     }

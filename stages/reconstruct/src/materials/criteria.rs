@@ -66,14 +66,14 @@ impl Complex<'_> {
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
-        let on_sheet = |[i, j]: [MaterialId; 2], start: DVec3, limit: f64| {
+        let on_interface = |[i, j]: [MaterialId; 2], start: DVec3, limit: f64| {
             let stratum = (i != j).then(|| Stratum::interface(i, j))?;
             Some((super::prepare::onto(self.indicators, stratum, start, limit * voxel)?, stratum))
         };
-        let crossing = self.crossing(facet).and_then(|(place, sheet)| on_sheet(sheet, place, 0.5));
+        let crossing = self.crossing(facet).and_then(|(place, interface)| on_interface(interface, place, 0.5));
         let at_centroid = || {
             let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
-            on_sheet(self.sheet(facet), centroid, 2.0)
+            on_interface(self.interface(facet), centroid, 2.0)
         };
         let (place, stratum) = crossing.or_else(at_centroid)?;
         let radius = corners.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
@@ -164,7 +164,7 @@ impl Complex<'_> {
             .max_deviation
             .unwrap_or_else(|| DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel()));
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
-        deviation_ratio(straying(self.indicators, self.sheet(facet), corners), limit)
+        deviation_ratio(straying(self.indicators, self.interface(facet), corners), limit)
     }
 
     /// Returns the violation at a simplex, if the simplex still exists and violates a criterion.
@@ -187,10 +187,10 @@ impl Complex<'_> {
 /// materials inside and outside, and the cosine between the normals of the triangle and of the
 /// interface. If a third material has a smaller indicator at the centroid, the distance is at least
 /// half the difference.
-pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
+pub(super) fn straying(indicators: &dyn Indicators, interface: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let centroid = (a + b + c) / 3.0;
-    let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);
+    let (value, gradient) = indicators.difference_gradient(interface[0], interface[1], centroid);
     let slope = gradient.length().max(LEAST_GRADIENT);
-    let distance = (value.abs() / slope).max(-0.5 * indicators.clearance(centroid, &sheet));
+    let distance = (value.abs() / slope).max(-0.5 * indicators.clearance(centroid, &interface));
     (distance, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
 }

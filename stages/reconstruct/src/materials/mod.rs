@@ -10,20 +10,16 @@
 //! | tetrahedra that change their material where points do not help | `relabel` |
 //! | edges that become segments where strata are merged, redundant segments dropped | `unite` |
 //! | short segments of curves contracted at a scale | `contract` |
-//! | improvement of the triangles | [`improve`] |
-//! | contraction of segments that still limit the quality | `simplify` |
-//! | components of the materials | [`pieces`] |
-//! | all steps in order; the results for the program | [`reconstruct`], `compute` |
-//! | update where h has changed | [`update`] |
+//! //! | contraction of segments that still limit the quality | `simplify` |
+//! | functions of the interfaces, components of the materials | [`subject`], [`pieces`] |
+//! | all steps in order | [`reconstruct`] |
 //! | surfaces of single materials | `each` |
 
 pub mod complex;
-pub(crate) mod compute;
 mod contract;
 pub mod criteria;
 mod cut;
 pub(crate) mod each;
-pub mod improve;
 pub mod nodes;
 pub mod pieces;
 pub mod prepare;
@@ -36,9 +32,11 @@ mod relabel;
 mod scenes;
 pub mod segments;
 mod simplify;
+pub mod subject;
 #[cfg(test)]
 mod tests;
 pub mod topology;
 mod unite;
-pub mod update;
+#[cfg(test)]
+mod update_tests;
 pub(crate) mod way;

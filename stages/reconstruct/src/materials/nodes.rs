@@ -82,9 +82,9 @@ impl Nodes {
     fn wrong_by_walls(&self, walls: impl ParallelIterator<Item = Wall>) -> Vec<usize> {
         let nx = self.geometry.size[0];
         let mut toggles: Vec<(usize, usize, u16)> = walls
-            .flat_map_iter(|(corners, sheet)| {
+            .flat_map_iter(|(corners, interface)| {
                 let mut own = Vec::new();
-                crossings(corners, &self.geometry, |at| own.extend(sheet.map(|id| (at.row, at.first, id.0))));
+                crossings(corners, &self.geometry, |at| own.extend(interface.map(|id| (at.row, at.first, id.0))));
                 own
             })
             .collect();
@@ -226,7 +226,7 @@ impl Nodes {
             let ends = |k: usize| [f.vertices[k], f.vertices[(k + 1) % 3]];
             let length = |[a, b]: [u32; 2]| complex.points()[a as usize].distance(complex.points()[b as usize]);
             let edge = (0..3).map(ends).max_by(|a, b| length(*a).total_cmp(&length(*b)))?;
-            Some((length(edge), segment(edge[0], edge[1]), complex.sheet(f)))
+            Some((length(edge), segment(edge[0], edge[1]), complex.interface(f)))
         };
         let is_meant = |f: &Facet| !must_pass_by || passes_by(f);
         let facets = complex.labelled.facets_at(vertex).into_iter().filter(is_meant).filter_map(|f| longest(&f));

@@ -15,7 +15,6 @@ use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::{Error, Result};
 use rayon::prelude::*;
-use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum displacement of a particle onto its stratum, in voxels.
@@ -33,24 +32,6 @@ const NEAR_A_CURVE: f64 = 0.5;
 /// distance, in voxels. The steps of a path are at most about a fifth of a voxel long.
 const ON_A_WAY: f64 = 0.15;
 
-/// Numbers of particles and segments that were used, added or not used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Taken {
-    /// The counts that one object has as well.
-    #[serde(flatten)]
-    pub particles: PrepareReport,
-    /// Particles on interfaces in the diametral ball of a segment of a junction curve.
-    pub encroaching: usize,
-    /// Segments of junction curves at the start.
-    pub segments: usize,
-    /// Segments that replace particles that were not used.
-    pub bridged: usize,
-    /// Points added on closed curves of one or two particles.
-    pub on_small_loops: usize,
-    /// Closed curves without particles that got points.
-    pub loops_added: usize,
-}
-
 /// Triangulated points on strata.
 pub struct Prepared {
     /// Delaunay triangulation of the points.
@@ -62,7 +43,7 @@ pub struct Prepared {
     /// Segments of junction curves.
     pub segments: Segments,
     /// Numbers of particles and segments that were used, added or not used.
-    pub report: Taken,
+    pub report: PrepareReport,
 }
 
 /// A particle that has been projected onto its stratum.
@@ -106,8 +87,7 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
             "run the stages `seed` and `particles` again",
         ));
     }
-    let mut report =
-        Taken { particles: PrepareReport { particles: count, ..PrepareReport::default() }, ..Taken::default() };
+    let mut report = PrepareReport { particles: count, ..PrepareReport::default() };
     let (voxel, upper) = (indicators.voxel(), particles.geometry.upper_corner());
     let in_volume = |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
     let points: Vec<Option<Point>> = (0..count)
@@ -120,7 +100,7 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
         })
         .collect();
     let taken = points.iter().flatten().count();
-    report.particles.not_projected = count - taken;
+    report.not_projected = count - taken;
     if taken < 4 || taken * 2 < count {
         return Err(Error::input(
             format!("only {taken} of {count} particles lie within {LONGEST_MOVE} voxel of their strata"),
@@ -143,7 +123,7 @@ fn small_loops(
     points: &mut Vec<Option<Point>>,
     pairs: &[[u32; 2]],
     (indicators, upper): (&dyn Indicators, DVec3),
-    report: &mut Taken,
+    report: &mut PrepareReport,
 ) -> Vec<Segment> {
     let mut times: BTreeMap<Segment, usize> = BTreeMap::new();
     pairs.iter().for_each(|&[a, b]| *times.entry(segment(a, b)).or_default() += 1);
@@ -195,7 +175,7 @@ fn missing_loops(
     points: &mut Vec<Point>,
     pairs: &mut Vec<Segment>,
     (indicators, upper): (&dyn Indicators, DVec3),
-    report: &mut Taken,
+    report: &mut PrepareReport,
 ) {
     let voxel = indicators.voxel();
     let mut known: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
@@ -239,7 +219,11 @@ fn missing_loops(
 }
 
 /// Returns the projected points, and the pairs between them. Lost points are bridged.
-fn without_the_lost(points: &[Option<Point>], pairs: Vec<Segment>, report: &mut Taken) -> (Vec<Point>, Vec<Segment>) {
+fn without_the_lost(
+    points: &[Option<Point>],
+    pairs: Vec<Segment>,
+    report: &mut PrepareReport,
+) -> (Vec<Point>, Vec<Segment>) {
     let is_kept: Vec<bool> = points.iter().map(Option::is_some).collect();
     let (pairs, bridged) = bridged(&is_kept, pairs);
     report.bridged += bridged;
@@ -292,7 +276,7 @@ fn without_the_crowded(
     points: Vec<Point>,
     pairs: Vec<Segment>,
     (indicators, upper): (&dyn Indicators, DVec3),
-    report: &mut Taken,
+    report: &mut PrepareReport,
 ) -> (Vec<Point>, Vec<Segment>) {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by_key(|&v| points[v].stratum.dimension());
@@ -357,17 +341,17 @@ fn triangulated(
     points: Vec<Point>,
     pairs: Vec<Segment>,
     (indicators, upper): (&dyn Indicators, DVec3),
-    mut report: Taken,
+    report: PrepareReport,
 ) -> Result<Prepared> {
     let mut surface = SurfacePoints {
         positions: points.iter().map(|p| p.place).collect(),
         sizes: points.iter().map(|p| p.size).collect(),
         normals: Vec::new(),
         lower: points.iter().map(|p| p.stratum).take_while(|stratum| stratum.dimension() < 2).collect(),
-        report: report.particles,
+        report,
     };
     let delaunay = surface.triangulate()?;
-    report.particles = surface.report;
+    let mut report = surface.report;
     // the remaining points keep their order
     let mut left = surface.positions.iter().peekable();
     let is_kept: Vec<bool> = points.iter().map(|p| left.next_if(|&&place| place == p.place).is_some()).collect();

@@ -13,40 +13,14 @@ use super::nodes::Nodes;
 use super::topology::Simplices;
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
+use crate::refine::RefineReport;
 use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Maximum number of searches for grid nodes in other materials, each with an empty queue.
 const NODE_ROUNDS: usize = 12;
-
-/// Report of the refinement.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct RefineReport {
-    /// Violations at the start, by reason, without grid nodes.
-    pub violations: BTreeMap<Reason, usize>,
-    /// Violations repaired by an inserted point, by reason.
-    pub inserted: BTreeMap<Reason, usize>,
-    /// Points inserted on junction curves.
-    pub on_curves: usize,
-    /// Edges without a segment that became one, because their curve passes both ends within the
-    /// tolerance.
-    pub adopted: usize,
-    /// Changes of the material of tetrahedra: parts of stars, runs around edges, and single
-    /// tetrahedra.
-    pub relabelled: usize,
-    /// Dropped segments that are not edges between their materials and whose ends are connected by
-    /// other segments of their curve.
-    pub superfluous: usize,
-    /// Number of vertices at which touching parts of an interface were separated.
-    pub parted: usize,
-    /// Number of short segments that were contracted at a scale.
-    pub contracted: usize,
-    /// Remaining violations of the topology, and grid nodes in another material, by reason.
-    pub unresolved: BTreeMap<Reason, usize>,
-}
 
 impl Remedy for Mend {
     fn place(&self) -> [f64; 3] {
@@ -120,12 +94,13 @@ impl<'a> Refinement<'a> {
     /// # Errors
     /// Those of `step` and of the triangulation.
     pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
-        self.drain([], &mut step)?;
+        self.report.rounds += usize::from(self.drain([], &mut step)? > 0);
         for _ in 0..NODE_ROUNDS {
             let found = self.at_nodes();
             if self.drain(found, &mut step)? == 0 {
                 break;
             }
+            self.report.rounds += 1;
         }
         self.report.relabelled += self.relabel(&mut step)?;
         self.unite();

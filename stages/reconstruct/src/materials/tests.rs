@@ -2,15 +2,17 @@
 
 use super::complex::Complex;
 use super::nodes::Nodes;
-use super::pieces::{missing, pieces};
 use super::prepare::{Prepared, prepare};
-use super::reconstruct::{Joining, MaterialsTruth, Reconstruction, reconstruct};
+use super::reconstruct::reconstruct;
 use super::refine::Refinement;
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
+use super::subject::Materials;
 use crate::check::{CheckOptions, CheckReport, Fault, check};
+use crate::complete::{Joining, Reconstruction};
 use crate::interfaces::Interfaces;
 use crate::options::Options;
 use crate::queue::{Refine, Simplex};
+use crate::subject::{Subject, Topology};
 use glam::DVec3;
 use isoparticles_field::materials::{Analytic, Indicators, MaterialId, Stratum, ball, half_space, negative};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
@@ -87,7 +89,8 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
             );
             assert_eq!(made.checked.junctions.junction_edges, made.checked.junctions.segments);
             assert_eq!(made.checked.junctions.junction_points, points, "{name} {kind}");
-            assert!(made.pieces.iter().all(|own| own.components == 1 && own.missing.is_empty()));
+            let Topology::Materials(pieces) = &made.topology else { panic!("many materials") };
+            assert!(pieces.iter().all(|own| own.components == 1 && own.missing.is_empty()));
         }
     }
 }
@@ -233,7 +236,7 @@ fn lost_curve_particles_are_bridged_and_small_loops_get_points() {
     let count = strata.segments.len();
     particles.positions[3] = DVec3::splat(1.0);
     let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
-    assert_eq!((prepared.report.particles.not_projected, prepared.report.bridged), (1, 1));
+    assert_eq!((prepared.report.not_projected, prepared.report.bridged), (1, 1));
     assert_eq!(prepared.segments.count(), count - 1);
     // one or two particles are left on the closed curve
     for left in [1usize, 2] {
@@ -248,7 +251,7 @@ fn lost_curve_particles_are_bridged_and_small_loops_get_points() {
         let options = Options { keeps_voxels: true, ..Options::default() };
         let made = reconstruct((&fewer, &strata), &scene.analytic, &scene.table(), None, &options, &Silent);
         let made = made.expect("on their strata");
-        assert!(made.joined().taken.on_small_loops >= 2, "{}", made.joined().taken.on_small_loops);
+        assert!(made.joined().prepared.on_small_loops >= 2, "{}", made.joined().prepared.on_small_loops);
         assert_eq!(made.failed, Vec::<String>::new(), "{left}");
         assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
     }
@@ -259,7 +262,7 @@ fn closed_curve_without_particles_is_found_from_interfaces() {
     let scene = Scene { curves: Vec::new(), ..scenes::two_balls() };
     // the spline through samples has no kinks on the curve
     let made = made(&scene, &scene.sampled(1.0), 1.5, false);
-    assert_eq!((made.joined().taken.loops_added, &made.failed), (1, &Vec::new()));
+    assert_eq!((made.joined().prepared.loops_added, &made.failed), (1, &Vec::new()));
     assert!(made.checked.junctions.junction_edges > 12, "{}", made.checked.junctions.junction_edges);
 }
 
@@ -285,12 +288,12 @@ fn two_curves_between_two_junction_points_are_distinguished() {
     ];
     let analytic = Analytic::new(functions, 1.0);
     let ends = [-1.0, 1.0].map(|side| (vec![0, 1, 2, 3], CENTRE + DVec3::Z * side * half_length));
-    let sheets = [(vec![0, 2], DVec3::new(-3.0, -3.0, 0.0)), (vec![1, 3], DVec3::new(3.0, 3.0, 2.0))]
+    let interfaces = [(vec![0, 2], DVec3::new(-3.0, -3.0, 0.0)), (vec![1, 3], DVec3::new(3.0, 3.0, 2.0))]
         .map(|(ids, from)| (ids, CENTRE + from));
     for (wall, other) in [(0, 1), (1, 0)] {
         let side = if wall == 0 { -1.0 } else { 1.0 };
         let middle = (vec![wall, 2, 3], CENTRE + DVec3::X * side * sag);
-        let all: Vec<(Vec<u16>, DVec3)> = ends.iter().cloned().chain([middle]).chain(sheets.clone()).collect();
+        let all: Vec<(Vec<u16>, DVec3)> = ends.iter().cloned().chain([middle]).chain(interfaces.clone()).collect();
         let prepared = prepared_of(&all, vec![[0, 2], [2, 1], [0, 1]], &analytic);
         assert_eq!(prepared.segments.count(), 3);
         assert_eq!(prepared.segments.curve([0, 1]), Some(stratum(&[other, 2, 3])), "the other beside {wall}");
@@ -347,7 +350,7 @@ fn curves_far_closer_than_h_keep_their_points() {
     let prepared = prepared_of(&all, pairs, &analytic);
     assert_eq!(prepared.segments.count(), 8);
     assert_eq!((0..8).map(|v| prepared.segments.at(v).count()).collect::<Vec<_>>(), [2; 8]);
-    assert_eq!(prepared.report.particles.crowded, 0);
+    assert_eq!(prepared.report.crowded, 0);
 }
 
 /// Returns two materials on either side of a ribbon, on which the materials above and below it
@@ -426,7 +429,7 @@ fn inserted_ball_centre_removes_its_facet() {
     assert_eq!(facets.len(), 8);
     for facet in facets {
         let mut complex = complex();
-        let place = complex.ball(&facet).expect("on its sheet").place;
+        let place = complex.ball(&facet).expect("on its interface").place;
         complex.labelled.insert(place, facet.vertices[0]).expect("in the volume").expect("new");
         complex.strata.push(stratum(&[0, 1]));
         complex.sizes.push(1.0);
@@ -456,9 +459,9 @@ fn each_kind_of_damage_fails_its_check() {
     let made = made(&scene, &scene.analytic, 1.5, true);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let table = scene.table();
+    let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &table };
     let options = CheckOptions {
-        truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
-        table: &table,
+        truth: Some(&subject),
         keeps_nodes: true,
         min_radius_ratio: Some(0.3),
         max_vertex_distance: Some(1e-4),
@@ -468,13 +471,17 @@ fn each_kind_of_damage_fails_its_check() {
         let mut interfaces = made.interfaces.clone();
         damage(&mut interfaces);
         let checked = check(&interfaces, &options);
-        let missing = missing(&pieces(&nodes, &nodes.wrong_by(&interfaces), &table));
-        [checked.failed, missing.into_iter().collect()].concat().join("; ")
+        let compared = subject.compare(&interfaces.mesh, &nodes.wrong_by(&interfaces));
+        [checked.failed, compared.failed].concat().join("; ")
     };
     assert_eq!(failed(&|_| {}), "");
     let plain = |i: &Interfaces| {
         let meets = i.materials_at_vertices();
-        i.mesh.triangles.iter().position(|t| t.iter().all(|&v| meets[v as usize].len() == 2)).expect("inside a sheet")
+        i.mesh
+            .triangles
+            .iter()
+            .position(|t| t.iter().all(|&v| meets[v as usize].len() == 2))
+            .expect("inside a interface")
     };
     type Damage<'a> = &'a dyn Fn(&mut Interfaces);
     let damages: [(&str, Damage); 9] = [
@@ -527,7 +534,7 @@ fn a_reversed_interface_is_one_inward_component() {
     let made = made(&scene, &scene.analytic, 2.0, false);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let options = CheckOptions {
-        truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
+        truth: Some(&Materials { indicators: &scene.analytic, nodes: &nodes, table: &[] }),
         ..CheckOptions::default()
     };
     let mut reversed = made.interfaces.clone();
@@ -542,10 +549,10 @@ fn triangles_forced_by_curves_fail_unless_accepted() {
     let made = made(&scene, &scene.analytic, 3.0, true);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let table = scene.table();
+    let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &table };
     let checked = |accept_forced: bool| {
         let options = CheckOptions {
-            truth: Some(&MaterialsTruth { indicators: &scene.analytic, nodes: &nodes }),
-            table: &table,
+            truth: Some(&subject),
             keeps_nodes: true,
             min_radius_ratio: Some(1.0),
             max_vertex_distance: Some(1e-4),

@@ -149,8 +149,8 @@ impl Complex<'_> {
 
     /// Returns whether the facets at an edge belong to several interfaces.
     fn joins_interfaces(&self, edge: Segment, runs: &[Vec<u32>]) -> bool {
-        let sheets: Vec<_> = self.facets_between(edge, runs).iter().map(|facet| self.sheet(facet)).collect();
-        sheets.iter().any(|sheet| *sheet != sheets[0])
+        let interfaces: Vec<_> = self.facets_between(edge, runs).iter().map(|facet| self.interface(facet)).collect();
+        interfaces.iter().any(|interface| *interface != interfaces[0])
     }
 
     /// Returns the violation at an edge that is not a segment, if there is one. The edge must be in
@@ -187,8 +187,8 @@ impl Complex<'_> {
     /// Returns the violation at a facet, if there is one. The two materials of the facet must meet
     /// at each of its vertices.
     pub(super) fn wrong_facet(&self, facet: &Facet) -> Option<Reason> {
-        let sheet = self.sheet(facet);
-        let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
+        let interface = self.interface(facet);
+        let is_on = |v: &u32| interface.iter().all(|&id| self.meets(*v, id));
         (!facet.vertices.iter().all(is_on)).then_some(Reason::Stratum)
     }
 }
@@ -213,7 +213,7 @@ mod tests {
                 complex.strata[v as usize].dimension() == 2
                     && complex.points()[v as usize].distance(scenes::CENTRE) < 5.0
             })
-            .expect("a vertex inside a sheet");
+            .expect("a vertex inside a interface");
         let own = star(complex.labelled.delaunay(), v);
         let at = |complex: &Complex, u: u32| -> Vec<u32> {
             own.iter().copied().filter(|&t| complex.labelled.delaunay().vertices(t).contains(&u)).collect()

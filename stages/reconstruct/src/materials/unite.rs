@@ -47,12 +47,13 @@ fn is_superfluous(complex: &Complex, pair: Segment) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::prepare::{Prepared, Taken};
+    use super::super::prepare::Prepared;
     use super::super::scenes::stratum;
     use super::super::segments::Segments;
     use super::*;
     use crate::interfaces::segment;
     use crate::options::Options;
+    use crate::prepare::PrepareReport;
     use glam::DVec3;
     use isoparticles_delaunay::Delaunay;
     use isoparticles_field::materials::{Analytic, Indicators, ball, half_space, maximum, negative};
@@ -93,7 +94,7 @@ mod tests {
         (h, keeps_voxels): (f64, bool),
     ) -> Complex<'a> {
         let curve = stratum(&[1, 2, 3]);
-        let sheet = |p: &DVec3| {
+        let interface = |p: &DVec3| {
             let near = analytic.near(*p);
             let ids: Vec<u16> = near.entries()[..2].iter().map(|(id, _)| id.0).collect();
             stratum(&ids)
@@ -101,9 +102,9 @@ mod tests {
         let prepared = Prepared {
             delaunay: Delaunay::new(points).expect("points in space"),
             sizes: vec![h; points.len()],
-            strata: (0..).zip(points).map(|(v, p)| if v < 5 { curve } else { sheet(p) }).collect(),
+            strata: (0..).zip(points).map(|(v, p)| if v < 5 { curve } else { interface(p) }).collect(),
             segments: Segments::new(pairs.iter().map(|&[a, b]| (segment(a, b), curve)), points),
-            report: Taken::default(),
+            report: PrepareReport::default(),
         };
         let options = Options { keeps_voxels, ..Options::default() };
         Complex::new(prepared, analytic, DVec3::splat(6.0), &options)

@@ -3,7 +3,7 @@
 //! side.
 
 use super::{Place, Refinement};
-use crate::join::compact;
+use crate::interfaces::Interfaces;
 use crate::object::Violation;
 use crate::queue::Reason;
 use crate::restricted::Facet;
@@ -21,7 +21,8 @@ impl Refinement<'_> {
     /// Returns no nodes if they are not tested.
     fn wrong_nodes(&self, facets: &[Facet]) -> Vec<DVec3> {
         let Some(samples) = self.nodes else { return Vec::new() };
-        let mesh = compact(self.object.points(), facets).0.mesh;
+        let triangles = facets.iter().map(|facet| facet.vertices);
+        let mesh = Interfaces::compact_object(self.object.points(), triangles).0.mesh;
         let wrong = nodes_on_wrong_side(&mesh, samples);
         wrong.into_iter().map(|node| samples.geometry.node_to_grid(node)).collect()
     }

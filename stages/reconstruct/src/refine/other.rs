@@ -37,7 +37,7 @@ impl Refinement<'_> {
         let defects = self.object.defects(facets);
         let critical = if has_sides { self.wrong_sided().len() } else { 0 };
         self.tell(&defects, critical);
-        self.report.parted_pinches = 0;
+        self.report.relabelled = 0;
         defects
     }
 
@@ -205,7 +205,7 @@ mod tests {
                     euler_change(&refinement.object.restricted, part, &refinement.object.restricted.sides_of(&other))
                 })
                 .collect();
-            assert_eq!(changes, [-2], "one sheet less");
+            assert_eq!(changes, [-2], "one interface less");
             let inserted = refinement.insert_for_other(&other, |_| Ok(())).unwrap();
             // one point per missing facet, except those too close to other points
             assert!(inserted > lost.len() / 4 && inserted <= lost.len(), "{inserted} of {}", lost.len());

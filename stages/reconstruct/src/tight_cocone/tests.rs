@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::check::{CheckOptions, CheckReport, check_object};
-use crate::join::compact;
+use crate::interfaces::Interfaces;
 use crate::prepare::SurfacePoints;
 use crate::scenes::{self, Scene};
 use isoparticles_field::random::uniform;
@@ -16,8 +16,8 @@ fn surface(positions: &[DVec3], normals: &[DVec3]) -> Result<(TriangleMesh, Coco
     let delaunay = points.triangulate()?;
     let normals = (!points.normals.is_empty()).then_some(&points.normals[..]);
     let (facets, report) = tight_cocone(&delaunay, normals)?;
-    let mut interfaces = compact(&points.positions, &facets).0;
-    interfaces.part_sheets(|_, p| Some(p));
+    let mut interfaces = Interfaces::compact_object(&points.positions, facets.iter().map(|facet| facet.vertices)).0;
+    interfaces.separate_touching(|_, p| Some(p));
     Ok((interfaces.mesh, report))
 }
 

@@ -1,7 +1,8 @@
 //! Edits of the mesh: the log records them until they are rolled back or committed.
 
 use super::{Change, DEAD, Facts, Surface};
-use crate::improve::sheets::Freedom;
+use crate::improve::functions::Freedom;
+use crate::interfaces::Interface;
 use glam::DVec3;
 
 impl Surface<'_> {
@@ -30,15 +31,15 @@ impl Surface<'_> {
         self.target.push(target);
         self.around.push(Vec::new());
         self.frozen.push(false);
-        self.freedom.push(Freedom::Sheet);
+        self.freedom.push(Freedom::Interface);
         self.positions.len() as u32 - 1
     }
 
     /// Adds a triangle to an interface and returns its index.
-    pub(in crate::improve) fn add_triangle(&mut self, corners: [u32; 3], sheet: u32) -> u32 {
+    pub(in crate::improve) fn add_triangle(&mut self, corners: [u32; 3], pair: Interface) -> u32 {
         self.log.push(Change::TriangleAdded);
         self.triangles.push(DEAD);
-        self.sheet.push(sheet);
+        self.pair.push(pair);
         self.facts.push(Facts::NONE);
         let t = self.triangles.len() as u32 - 1;
         self.set_triangle(t, corners);
@@ -102,7 +103,7 @@ impl Surface<'_> {
                 }
                 Change::TriangleAdded => {
                     self.triangles.pop();
-                    self.sheet.pop();
+                    self.pair.pop();
                     self.facts.pop();
                 }
             }

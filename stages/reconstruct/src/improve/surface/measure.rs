@@ -2,7 +2,7 @@
 
 use super::{DEAD, Facts, Surface};
 use crate::improve::constants::{AIM, AIM_ANGLES, FIRST_ORDER, FIT, FIT_ANGLES, POOR, SHORT_SIDE, SURELY_WIDE};
-use crate::improve::sheets::Freedom;
+use crate::improve::functions::Freedom;
 use glam::DVec3;
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::quality::radius_ratio;
@@ -95,13 +95,13 @@ impl Surface<'_> {
         }
         let [a, b, c] = self.corners(triangle);
         let centroid = (a + b + c) / 3.0;
-        let sheet = self.sheet[triangle as usize];
-        let (value, gradient) = self.field.value_gradient(sheet, centroid);
+        let pair = self.pair[triangle as usize];
+        let (value, gradient) = self.field.value_gradient(pair, centroid);
         let normal = self.normal_of(corners);
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
         let mut deviation = distance_estimate(value, gradient).abs() / mean_target;
         if deviation > FIRST_ORDER
-            && let Some(foot) = self.field.projected_facing(sheet, centroid, normal, deviation.min(1.0) * mean_target)
+            && let Some(foot) = self.field.projected_facing(pair, centroid, normal, deviation.min(1.0) * mean_target)
         {
             deviation = foot.distance(centroid) / mean_target;
         }

@@ -2,14 +2,16 @@
 //! function for each pair of adjacent materials.
 
 use super::constants::{HALVINGS, LINE_STEPS, PROJECTION_TOLERANCE};
+use crate::interfaces::Interface;
 use glam::DVec3;
+use isoparticles_field::materials::MaterialId;
 use isoparticles_field::spline::{CubicSpline, Jet};
 
 /// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
     /// Anywhere on its interface.
-    Sheet,
+    Interface,
     /// Along its junction curve, where interfaces meet.
     Curve,
     /// Fixed.
@@ -18,58 +20,65 @@ pub enum Freedom {
     Point,
 }
 
-/// Implicit functions of the interfaces, by interface index, at positions in the grid frame (mm).
-/// Each function is zero on its interface and negative inside, that is, in the first of its two
-/// materials. The triangles of the interface face outward.
-pub trait Sheets: Sync {
+/// Implicit functions of the interfaces, at positions in the grid frame (mm). Each function is zero
+/// on its interface and negative in the first of its two materials, the inside. The triangles of
+/// the interface face outward.
+pub trait InterfaceFunctions: Sync {
     /// Returns the value of the function of an interface.
-    fn value(&self, sheet: u32, p: DVec3) -> f64;
+    fn value(&self, pair: Interface, p: DVec3) -> f64;
 
     /// Returns the value and gradient of the function of an interface.
-    fn value_gradient(&self, sheet: u32, p: DVec3) -> (f64, DVec3);
+    fn value_gradient(&self, pair: Interface, p: DVec3) -> (f64, DVec3);
 
     /// Returns the value, gradient and Hessian of the function of an interface.
-    fn jet(&self, sheet: u32, p: DVec3) -> Jet;
+    fn jet(&self, pair: Interface, p: DVec3) -> Jet;
 
     /// Returns the projection of `start` onto an interface, and the gradient there. Returns `None`
     /// if the point is farther than `limit` (mm), is not found to within `tolerance` (mm), or lies
     /// beyond the end of the interface.
-    fn project(&self, sheet: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
+    fn project(&self, pair: Interface, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
     /// Returns the projection of `start` onto the junction curve of two interfaces. Returns `None`
     /// as [`Self::project`] does, and if the interfaces do not meet in a curve.
-    fn project_onto_curve(&self, _sheets: [u32; 2], _start: DVec3, _limit: f64, _tolerance: f64) -> Option<DVec3> {
+    fn project_onto_curve(
+        &self,
+        _interfaces: [Interface; 2],
+        _start: DVec3,
+        _limit: f64,
+        _tolerance: f64,
+    ) -> Option<DVec3> {
         None
     }
 
     /// Returns the projection of `p` onto an interface, with the default tolerance and at most
     /// `limit` mm away.
-    fn projected(&self, sheet: u32, p: DVec3, limit: f64) -> Option<DVec3> {
-        self.project(sheet, p, limit, PROJECTION_TOLERANCE * self.voxel()).map(|(q, _)| q)
+    fn projected(&self, pair: Interface, p: DVec3, limit: f64) -> Option<DVec3> {
+        self.project(pair, p, limit, PROJECTION_TOLERANCE * self.voxel()).map(|(q, _)| q)
     }
 
     /// Returns the projection of `p` onto a point of an interface where the gradient points to the
     /// side of the unit vector `normal`. This excludes the other face of a thin wall or gap. If the
     /// projection along the gradient ends there, the nearest crossing along `normal` is projected
     /// instead.
-    fn projected_facing(&self, sheet: u32, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
+    fn projected_facing(&self, pair: Interface, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = PROJECTION_TOLERANCE * self.voxel();
         let facing = |start: DVec3, limit: f64| {
-            self.project(sheet, start, limit, tolerance).filter(|(_, g)| g.dot(normal) > 0.0).map(|(q, _)| q)
+            self.project(pair, start, limit, tolerance).filter(|(_, g)| g.dot(normal) > 0.0).map(|(q, _)| q)
         };
         facing(p, limit).or_else(|| {
-            let (mut below, mut above) = crossing_along(|x| self.value(sheet, p + x * normal), limit)?;
+            let (mut below, mut above) = crossing_along(|x| self.value(pair, p + x * normal), limit)?;
             for _ in 0..HALVINGS {
                 let middle = 0.5 * (below + above);
-                if self.value(sheet, p + middle * normal) < 0.0 { below = middle } else { above = middle }
+                if self.value(pair, p + middle * normal) < 0.0 { below = middle } else { above = middle }
             }
             facing(p + 0.5 * (below + above) * normal, limit)
         })
     }
 
-    /// Returns the numbers of the materials inside and outside an interface.
-    fn sides(&self, _sheet: u32) -> [u32; 2] {
-        [1, 0]
+    /// Returns the region to which a material belongs: itself, or the outside for the space beyond
+    /// a plane.
+    fn region(&self, id: MaterialId) -> MaterialId {
+        id
     }
 
     /// Returns the mean voxel spacing (mm).
@@ -99,20 +108,20 @@ fn crossing_along(f: impl Fn(f64) -> f64, limit: f64) -> Option<(f64, f64)> {
 }
 
 /// One object: F = 0 is its only interface.
-impl Sheets for CubicSpline {
-    fn value(&self, _: u32, p: DVec3) -> f64 {
+impl InterfaceFunctions for CubicSpline {
+    fn value(&self, _: Interface, p: DVec3) -> f64 {
         CubicSpline::value(self, p)
     }
 
-    fn value_gradient(&self, _: u32, p: DVec3) -> (f64, DVec3) {
+    fn value_gradient(&self, _: Interface, p: DVec3) -> (f64, DVec3) {
         CubicSpline::value_gradient(self, p)
     }
 
-    fn jet(&self, _: u32, p: DVec3) -> Jet {
+    fn jet(&self, _: Interface, p: DVec3) -> Jet {
         CubicSpline::jet(self, p)
     }
 
-    fn project(&self, _: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+    fn project(&self, _: Interface, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         self.project_with_gradient(start, limit, tolerance)
     }
 
