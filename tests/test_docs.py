@@ -1,7 +1,8 @@
-"""Test that tables of figures in README.md and docs have a nearby command that measures them.
+"""Tests of the documentation and of the version that it states.
 
-The command must be in the paragraph before or after the table, in the first paragraph of the
-section, or in a section of the same page to which one of these paragraphs links.
+Tables of figures in README.md and docs have a nearby command that measures them. It is in the
+paragraph before or after the table, in the first paragraph of the section, or in a section of the
+same page to which one of these paragraphs links.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import ast
 import os
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import commands_page
@@ -137,3 +139,23 @@ def test_the_python_page_names_the_whole_package() -> None:
     names = ["isoparticles", *(f"isoparticles.{name}" for name in public)]
     names += [f"isoparticles._options.{name}" for name in options]
     assert sorted(re.findall(r"^\.\. auto\w+:: (\S+)", page, re.MULTILINE)) == sorted(names)
+
+
+def test_all_files_state_the_same_version() -> None:
+    def first(path: str, pattern: str) -> str:
+        found = re.search(pattern, (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE)
+        return found.group(1) if found else "none"
+
+    version = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]["version"]
+    date = first("CITATION.cff", r"^date-released: (\d{4}-\d\d-\d\d)$")
+    locked = tomllib.loads((ROOT / "Cargo.lock").read_text(encoding="utf-8"))["package"]
+    stated = {
+        "CHANGELOG.md": first("CHANGELOG.md", rf"^## \[(.+)\] - {date}$"),
+        "CITATION.cff": first("CITATION.cff", r"^version: (.+)$"),
+        "conda": first("pipelines/conda/recipe.yaml", r'^  version: "(.+)"$'),
+        "tetmesh-check": first("stages/tetmesh-check/pyproject.toml", r'^version = "(.+)"$'),
+        "wheel": first("docs/user/install.md", r"isoparticles-([\d.]+)-cp311"),
+        **{package["name"]: package["version"] for package in locked if "source" not in package},
+    }
+    assert len(stated) > 15
+    assert stated == dict.fromkeys(stated, version)
