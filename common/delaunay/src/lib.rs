@@ -1,38 +1,11 @@
-//! Three-dimensional Delaunay triangulation by incremental insertion (Bowyer 1981, Watson 1981)
-//! with exact predicates. Points are inserted in rounds along a Hilbert curve; large rounds run on
-//! several threads.
+#![doc = include_str!("../README.md")]
+//!
+//! # Ghost tetrahedra
 //!
 //! *Ghost* tetrahedra connect each hull triangle to a vertex at infinity ([`INFINITE`]), so every
-//! tetrahedron has four neighbours and the boundary needs no special cases. The input may contain
-//! cospherical, coplanar and collinear points, grids and duplicates. A symbolic perturbation (see
-//! [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so the
-//! triangulation does not depend on the insertion order. Coplanar point sets are rejected, because
-//! they have no tetrahedra.
-//!
-//! The same points give the same tetrahedra with the same indices on any number of threads. For
-//! half a million surface points, this crate is about as fast as CGAL (`make bench-delaunay`).
-//!
-//! ```
-//! use glam::DVec3;
-//! use isoparticles_delaunay::{Delaunay, Insertion};
-//!
-//! let corners: Vec<DVec3> = (0..8u8)
-//!     .map(|n| DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1), f64::from(n >> 2)))
-//!     .collect();
-//! let mut cube = Delaunay::new(&corners)?;
-//! let volume = |d: &Delaunay| -> f64 {
-//!     let at = |v: u32| d.points()[v as usize];
-//!     let six = |[a, b, c, e]: [u32; 4]| (at(b) - at(a)).cross(at(c) - at(a)).dot(at(e) - at(a));
-//!     d.finite_tetrahedra().map(|(_, vertices)| six(vertices) / 6.0).sum()
-//! };
-//! assert!((volume(&cube) - 1.0).abs() < 1e-12);
-//!
-//! // Insert another point, and look at the tetrahedra that it created.
-//! assert_eq!(cube.insert(DVec3::splat(0.5), None)?, Insertion::New(8));
-//! assert!(cube.created().iter().all(|&t| cube.vertices(t).contains(&8)));
-//! assert!((volume(&cube) - 1.0).abs() < 1e-12);
-//! # Ok::<(), isoparticles_delaunay::Error>(())
-//! ```
+//! tetrahedron has four neighbours and the boundary needs no special cases. A symbolic perturbation
+//! (see [`predicates`]) breaks ties of the in-sphere test. It depends only on the point indices, so
+//! the triangulation does not depend on the insertion order.
 
 mod error;
 mod exact;
