@@ -8,8 +8,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "wheel" / "src"
 project = "isoparticles"
 project_copyright = "the isoparticles developers"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc"]
-# results/ contains the template of results.md; notebooks are meant for Jupyter
-exclude_patterns = ["results", "notebooks"]
+# results/ contains the template of results.md; notebooks are meant for Jupyter, the paper for JOSS
+exclude_patterns = ["results", "notebooks", "paper"]
 html_theme = "furo"
 html_title = "isoparticles"
 html_show_sphinx = False
