@@ -98,7 +98,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ----------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch cluster index view build env snakemake-env wheel sdist completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index view build env snakemake-env wheel sdist release-check completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
 
 define HELP
@@ -128,6 +128,7 @@ Volumes in, simulation-ready meshes out.
   make wheel                                   build target/wheel/isoparticles-*.whl; pip install it, then run
                                                `isoparticles help`
   make sdist                                   build target/wheel/isoparticles-*.tar.gz, which needs Rust
+  make release-check                           dry run of a release (RELEASING.md): versions, packages, their tests
   make completions                             write completions for bash, zsh and fish, and man pages, to target/share
   make test                                    check format, lints and documentation, and run all tests
   make docs                                    build the documentation site, target/docs/index.html (Sphinx)
@@ -309,6 +310,10 @@ ifneq ($(SDIST_TEST),)
 	@env -u ISOPARTICLES_BIN -u CARGO_TARGET_DIR $(WHEEL)/fresh/bin/pip install --quiet "$$(ls $(WHEEL)/*.tar.gz)[fem,formats,hxt,view]" pytest pytest-timeout
 	@env -u WHEEL -u ISOPARTICLES_BIN $(WHEEL)/fresh/bin/pytest -q -c pipelines/wheel/pytest.ini pipelines/wheel/tests
 endif
+
+# Dry run of a release: builds and tests all packages, and publishes nothing (RELEASING.md).
+release-check: env
+	@tests/release.sh '$(MAKE)' $(call quote,$(abspath $(VENV))/bin/python) $(call quote,$(abspath $(WHEEL)))
 
 $(WHEEL_VENV)/.made: pipelines/wheel/requirements.lock | env
 	@$(VENV)/bin/python -m venv --clear $(WHEEL_VENV)
