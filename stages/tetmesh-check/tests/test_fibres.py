@@ -333,7 +333,9 @@ def two_ventricles(size: int) -> tuple[MarkedMesh, dict[str, Members]]:
 
 def test_fibres_of_two_ventricles_turn_steadily() -> None:
     mesh, sets = two_ventricles(4)
-    found = map_fibres(FibreArguments("object", (), (4.0, 2.5, 0.0), HELIX, (0.0, 0.0)), sets, mesh, quiet_context())
+    apex = (4.0, 2.5, 0.0)
+    given = FibreArguments("object", (), apex, HELIX, (0.0, 0.0), apex_rv=apex)
+    found = map_fibres(given, sets, mesh, quiet_context())
     assert_orthonormal(found)
     centres, fibre = mesh.points[mesh.tetrahedra].mean(axis=1), found.fields["fibre"]
     angle = np.degrees(np.arctan2(fibre[:, 2], fibre[:, 1]))
@@ -349,6 +351,35 @@ def test_fibres_of_two_ventricles_turn_steadily() -> None:
     first, second = (np.tile(fibre, (4, 1))[order[side]][inner] for side in (slice(-1), slice(1, None)))
     # fibres must jump somewhere, such as on the lines where the ventricles meet
     assert (angle_between(first, second) > 45.0).mean() < 0.003
+
+
+def test_the_apex_of_the_right_ventricle_is_below_its_cavity() -> None:
+    mesh, sets = two_ventricles(2)
+    context = quiet_context()
+    map_fibres(FibreArguments("object", (), None, HELIX, HELIX), sets, mesh, context)
+    x, y, z = context.results["fibres"]["apex_rv_mm"]
+    assert 5.0 <= x <= 7.0
+    assert 1.0 <= y <= 4.0
+    assert z == 0.0
+
+
+def test_the_right_ventricle_has_a_rotational_coordinate() -> None:
+    mesh, sets = two_ventricles(2)
+    given = FibreArguments("object", (), None, HELIX, HELIX, apex_rv=(6.0, 2.5, 0.0))
+    found = map_fibres(given, sets, mesh, quiet_context()).point_fields
+    assert "rotational_rv" not in mapped(half_ellipsoid(2)).point_fields
+    # the axis of the right cavity is the line x = 6, y = 2.5
+    x, y = mesh.points[:, 0] - 6.0, mesh.points[:, 1] - 2.5
+    off_axis = np.hypot(x, y) > 0.1
+    turn = found["rotational_rv"] - np.degrees(np.arctan2(y, x))
+    np.testing.assert_allclose((turn[off_axis] + 180.0) % 360.0, 180.0, atol=1e-6)
+
+
+def test_a_base_of_the_left_ventricle_alone_gives_fibres_everywhere() -> None:
+    mesh, sets = two_ventricles(2)
+    is_right = (mesh.marks == BASE) & (mesh.points[mesh.boundary].mean(axis=1)[:, 0] > 3.5)
+    found = mapped(replace(mesh, marks=np.where(is_right, 9, mesh.marks)), sets)
+    assert_orthonormal(found)
 
 
 def test_the_transventricular_coordinate_names_the_ventricle() -> None:
@@ -597,7 +628,10 @@ def test_a_hollow_half_ball_gets_fibres_from_the_command_line(tmp_path: Path, ru
     assert len((tmp_path / "v.volume.lon").read_text().splitlines()) == 1 + len(cells)
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["results"]["fibres"]["tetrahedra"] == len(cells)
-    assert report["parameters"]["fibres"]["sets"]["endo"] == "inner - lid"
+    given = report["parameters"]["fibres"]
+    assert given["sets"]["endo"] == "inner - lid"
+    # there is no right ventricle and no outflow tract
+    assert set(given) == {"material", "sets", "apex", "helix", "sheet"}
 
 
 @NEEDS_HXT
@@ -639,6 +673,8 @@ WRONG = [
     ([*FIBRES, "--helix", "100,-60"], "'100,-60' is not ENDO,EPI in degrees"),
     ([*FIBRES, "--helix-rv", "90,-25"], "--helix-rv without --endo-rv"),
     ([*FIBRES, "--helix-outflow", "90,0"], "--helix-outflow without --outflow"),
+    ([*FIBRES, "--helix-outflow-rv", "90,0"], "--helix-outflow-rv without --endo-rv"),
+    ([*FIBRES, "--apex-rv", "0,0,-10"], "--apex-rv without --endo-rv"),
     ([*FIBRES, "--outflow", "lid"], "--outflow lid and --base share lid"),
     ([*FIBRES, "--apex", "1,2"], "'1,2' is not X,Y,Z"),
     ([*FIBRES[:3], "inner -", *FIBRES[4:]], "'inner -' ends where a name is expected"),

@@ -115,11 +115,14 @@ def test_helix_angles_follow_the_depth_in_the_left_wall_and_septum(muscle: Muscl
 
 
 def test_helix_angles_follow_the_depth_in_the_right_wall(muscle: Muscle) -> None:
-    # lower, the direction from the apex of the left ventricle differs from the axis
-    own = (muscle.place.depth > OUTER + 0.1) & (muscle.centres[:, 0] > 22.0) & (muscle.centres[:, 2] > -10.0)
-    error = errors(muscle.helix(*muscle.right_frame()), 60.0 - 120.0 * muscle.at["transmural"])[own]
-    assert own.sum() > 400
-    assert error.mean() < 4.0
+    # The wall is only a part of the ellipsoid, so its fibres follow the line where the ventricles
+    # meet. With the apex of the left ventricle alone, the mean errors are 2.3, 7.4 and 14.2.
+    for low, high, limit in ((-10.0, 0.0, 2.0), (-20.0, -10.0, 4.0), (-30.0, -20.0, 6.0)):
+        own = (muscle.place.depth > OUTER + 0.1) & (muscle.centres[:, 0] > 22.0)
+        own &= (muscle.centres[:, 2] > low) & (muscle.centres[:, 2] < high)
+        error = errors(muscle.helix(*muscle.right_frame()), 60.0 - 120.0 * muscle.at["transmural"])[own]
+        assert own.sum() > 400
+        assert error.mean() < limit
 
 
 def test_coordinates_are_those_of_the_phantom(muscle: Muscle) -> None:
@@ -139,14 +142,16 @@ def test_coordinates_are_those_of_the_phantom(muscle: Muscle) -> None:
     assert np.corrcoef(muscle.at["apicobasal"][free], height[free])[0, 1] > 0.98
 
 
-def test_fibres_turn_at_the_pulmonary_valve(made: iso.Mesh) -> None:
+@pytest.mark.parametrize(("more", "ends"), [({}, (90, 0)), ({"helix_outflow_rv": (0, 0)}, (0, 0))])
+def test_fibres_turn_at_the_pulmonary_valve(made: iso.Mesh, more: dict[str, Any], ends: tuple[int, int]) -> None:
     valve = "ball:22,26,0,10 & caps=pulmonary"
-    found = filled(made, tag=valve, base="caps - pulmonary", outflow="pulmonary")
+    found = filled(made, tag=valve, base="caps - pulmonary", outflow="pulmonary", **more)
     helix = found.helix(*found.right_frame())
     # the layer of tetrahedra below the valve, in the right wall
     at_valve = (np.linalg.norm(found.centres - [22.0, 26.0, 0.0], axis=1) < 7.0) & (found.centres[:, 2] > -1.5)
     assert at_valve.sum() > 20
-    assert errors(helix, 90.0 - 90.0 * found.at["transmural"])[at_valve].mean() < 8.0
+    expected = ends[0] + (ends[1] - ends[0]) * found.at["transmural"]
+    assert errors(helix, expected)[at_valve].mean() < 8.0
     # the left free wall keeps its angles
     free = in_left_wall(found.place, (150.0, 181.0), 30.0)
     error = errors(found.helix(*found.place.axes), 60.0 - 120.0 * found.place.transmural)[free]

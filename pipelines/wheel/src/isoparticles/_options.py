@@ -307,12 +307,16 @@ class TetmeshOptions(TypedDict, total=False):
     #: Position, mm, in the frame of the output: the apex is the nearest point of the muscle that is
     #: not on the base or ``--outflow``.
     apex: str | Iterable[float]
+    #: The same for the right ventricle.
+    apex_rv: str | Iterable[float]
     #: Angles from the circumferential direction to the fibre at both surfaces, degrees, -90 to 90.
     helix: str | Iterable[float]
     #: The same angles in the right ventricle.
     helix_rv: str | Iterable[float]
     #: The same angles at ``--outflow``.
     helix_outflow: str | Iterable[float]
+    #: The same angles at ``--outflow`` in the right ventricle.
+    helix_outflow_rv: str | Iterable[float]
     #: Angles from the transmural direction to the sheet at both surfaces, degrees, -90 to 90.
     sheet: str | Iterable[float]
     #: Number of CPU threads, 0 for all cores.

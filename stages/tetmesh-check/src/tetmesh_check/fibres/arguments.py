@@ -27,10 +27,15 @@ bounding box of the muscle. The wall of a heart is thinner."""
 WHY = "fibres follow from harmonic functions with different values on these boundaries"
 """Why the boundaries matter."""
 _SETS = ("endo", "endo_rv", "epi", "base", "outflow")
-_OPTIONS = (*_SETS, "apex", "helix", "sheet", "helix_rv", "helix_outflow")
+_NEEDS = {
+    "apex_rv": {"endo_rv"},
+    "helix_rv": {"endo_rv"},
+    "helix_outflow": {"outflow"},
+    "helix_outflow_rv": {"endo_rv", "outflow"},
+}
+"""The boundaries without which an option has no effect."""
+_OPTIONS = (*_SETS, "apex", "helix", "sheet", *_NEEDS)
 _REQUIRED = ("endo", "epi", "base")
-_NEEDS = {"helix_rv": "endo_rv", "helix_outflow": "outflow"}
-"""The boundary to which angles apply."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +57,17 @@ class FibreArguments:
     """Helix angles of the right ventricle; by default those of the left one."""
     helix_outflow: Angles = DEFAULT_OUTFLOW
     """Helix angles at ``outflow``."""
+    helix_outflow_rv: Angles | None = None
+    """Helix angles at ``outflow`` in the right ventricle; by default those of the left one."""
+    apex_rv: tuple[float, float, float] | None = None
+    """A position near the apex of the right ventricle, mm; by default, the point of the epicardium
+    nearest to the point of ``endo_rv`` that is farthest from the base and ``outflow``."""
 
     def parameters(self) -> dict[str, Any]:
-        """Return the parameters for the history."""
-        return {**vars(self), "sets": {one.name: one.text for one in self.sets}}
+        """Return the parameters with an effect, for the history."""
+        sets = {one.name: one.text for one in self.sets}
+        given = {**vars(self), "sets": sets}
+        return {name: value for name, value in given.items() if _NEEDS.get(name, set()) <= sets.keys()}
 
 
 def fibre_arguments(given: Mapping[str, Any]) -> FibreArguments | None:
@@ -86,17 +98,19 @@ def fibre_arguments(given: Mapping[str, Any]) -> FibreArguments | None:
             "fibres follow from the endocardium, the epicardium and the base of the muscle",
             "add these options with sets such as 'wall/blood', 'wall/outside - caps' and caps",
         )
-    for angles, boundary in _NEEDS.items():
-        if given[angles] is not None and given[boundary] is None:
-            raise StageError(
-                f"{names[angles]} without {names[boundary]}",
-                "these angles apply near that boundary only",
-                f"add {names[boundary]} with a set, or omit {names[angles]}",
-            )
+    for option, boundaries in _NEEDS.items():
+        for boundary in sorted(boundaries):
+            if given[option] is not None and given[boundary] is None:
+                raise StageError(
+                    f"{names[option]} without {names[boundary]}",
+                    "it applies near that boundary only",
+                    f"add {names[boundary]} with a set, or omit {names[option]}",
+                )
     sets = tuple(replace(given[name], name=name) for name in _SETS if given[name] is not None)
     helix, sheet = given["helix"] or DEFAULT_HELIX, given["sheet"] or DEFAULT_SHEET
     outflow = given["helix_outflow"] or DEFAULT_OUTFLOW
-    return FibreArguments(given["fibres"], sets, given["apex"], helix, sheet, given["helix_rv"], outflow)
+    right = (given["helix_rv"], outflow, given["helix_outflow_rv"], given["apex_rv"])
+    return FibreArguments(given["fibres"], sets, given["apex"], helix, sheet, *right)
 
 
 def check_tissue(arguments: FibreArguments | None, names: Sequence[str]) -> None:
@@ -155,14 +169,17 @@ def find_boundaries(arguments: FibreArguments, parts: Parts, surface: Surface) -
                 told = f"{option} and {option_name(other)} share {shared}"
                 raise StageError(told, WHY, f"remove it from one; {known}")
         found[own.name] = members
-    if arguments.apex is not None:
-        own_points = surface.points[np.unique(surface.triangles[np.isin(parts.marks, sorted(touching))])]
-        away = float(np.linalg.norm(surface.shown(own_points) - arguments.apex, axis=1).min())
+    own_points = surface.points[np.unique(surface.triangles[np.isin(parts.marks, sorted(touching))])]
+    for name in ("apex", "apex_rv"):
+        if (apex := getattr(arguments, name)) is None:
+            continue
+        away = float(np.linalg.norm(surface.shown(own_points) - apex, axis=1).min())
         if away > MAX_APEX_DISTANCE * float(np.linalg.norm(np.ptp(own_points, axis=0))):
+            option = option_name(name)
             raise StageError(
-                f"--apex {','.join(f'{x:g}' for x in arguments.apex)} is {away:.3g} mm from the boundary of "
+                f"{option} {','.join(f'{x:g}' for x in apex)} is {away:.3g} mm from the boundary of "
                 f"{arguments.material}",
                 "the apex is the point of the muscle nearest to it, which would be another one",
-                "check the position and its frame, or omit --apex",
+                f"check the position and its frame, or omit {option}",
             )
     return found

@@ -2,9 +2,9 @@
 
 Inputs are the sets of boundary triangles of the options. Outputs are the cell fields ``fibre``,
 ``sheet`` and ``sheet_normal`` (:mod:`.rule`), and the point fields ``apicobasal``, ``transmural``,
-``rotational`` and, for two ventricles, ``transventricular``, after the universal ventricular
-coordinates of Bayer et al. (Med Image Anal 45:83-93, 2018). Outflow tracts follow Doste et al. (Int
-J Numer Meth Biomed Engng 35:e3185, 2019).
+``rotational`` and, for two ventricles, ``rotational_rv`` and ``transventricular``, after the
+universal ventricular coordinates of Bayer et al. (Med Image Anal 45:83-93, 2018). Outflow tracts,
+and an apex for each ventricle, follow Doste et al. (Int J Numer Meth Biomed Engng 35:e3185, 2019).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tetmesh_check.fem.forward import FLOW
 from tetmesh_check.fem.solver import solve
 from tetmesh_check.fibres.arguments import WHY, FibreArguments
 from tetmesh_check.fibres.measures import helix_by_depth
-from tetmesh_check.fibres.rule import Harmonic, between, directions, is_level, unit
+from tetmesh_check.fibres.rule import Harmonic, between, directions, is_level, unit, ventricle_share
 from tetmesh_check.parts.algebra import Members
 from tetmesh_check.parts.names import option_name
 from tetmesh_check.quality import Labels, Points, Values, signed_tetrahedron_volumes, triangle_quality
@@ -147,24 +147,46 @@ def _along(muscle: _Muscle, apex: Labels) -> tuple[Points, Values]:
     return share[:, None] * up + (1.0 - share[:, None]) * out, share
 
 
+def _along_both(
+    muscle: _Muscle, mesh: MarkedMesh, members: Mapping[str, Members], apices: Sequence[Labels], right: Values
+) -> tuple[Points, Values]:
+    """Return the results of :func:`_along` in two ventricles, each with its own apex.
+
+    Each ventricle is solved alone, because the flow from the base to an apex would otherwise cross
+    from one ventricle to the other. The domains overlap where the share of the right ventricle is
+    1/4 to 3/4; there, directions and weights change linearly with the share.
+    """
+    weight = np.clip(2.0 * right - 0.5, 0.0, 1.0)
+    along, share = np.zeros((len(right), 3)), np.zeros(len(right))
+    total = np.zeros(len(right))
+    for apex, own in zip(apices, (1.0 - weight, weight), strict=True):
+        part = _muscle(mesh, muscle.cells[own > 0.0], members)
+        if "base" not in part.nodes or not np.isin(muscle.points[apex], part.points).all():
+            part = muscle
+        here = np.searchsorted(muscle.cells, part.cells)
+        found, found_share = _along(part, np.searchsorted(part.points, muscle.points[apex]))
+        along[here] += own[here][:, None] * np.where(is_level(found)[:, None], 0.0, unit(found))
+        share[here] += own[here] * found_share
+        total[here] += own[here]
+    return along, share / np.maximum(total, 1e-300)
+
+
 def _angles(arguments: FibreArguments, epi: Values, share: Values) -> list[Values]:
     """Return helix and sheet angles of the left and the right ventricle, shape ``(2, m)`` each."""
-    outflow, sheet = between(arguments.helix_outflow, epi), between(arguments.sheet, epi)
-    return [
-        np.stack([share * between(helix, epi) + (1.0 - share) * outflow, sheet])
-        for helix in (arguments.helix, arguments.helix_rv or arguments.helix)
-    ]
+    sheet, outflow = between(arguments.sheet, epi), arguments.helix_outflow
+    ends = ((arguments.helix, outflow), (arguments.helix_rv or arguments.helix, arguments.helix_outflow_rv or outflow))
+    return [np.stack([share * between(helix, epi) + (1.0 - share) * between(out, epi), sheet]) for helix, out in ends]
 
 
-def _rotational(muscle: _Muscle, apex: Points) -> Values:
-    """Return angles about the axis from the apex to the centre of the base, degrees, -180 to 180.
+def _rotational(muscle: _Muscle, apex: Points, top: Points, zero: Points | None) -> Values:
+    """Return angles about the axis from the apex to ``top``, degrees, -180 to 180.
 
-    The zero points to the right ventricle. Without ``endo_rv``, it is the x axis, or the y axis if
-    x is nearly parallel to the axis.
+    ``zero`` is the direction of 0. Without it, 0 is along the x axis, or the y axis if x is nearly
+    parallel to the axis.
     """
-    axis = muscle.centres["base"] - apex
+    axis = top - apex
     axis /= np.linalg.norm(axis)
-    zero = muscle.centres["endo_rv"] - apex if "endo_rv" in muscle.centres else np.eye(3)[int(abs(axis[0]) > 0.9)]
+    zero = np.eye(3)[int(abs(axis[0]) > 0.9)] if zero is None else zero
     zero = zero - (zero @ axis) * axis
     out = muscle.basis.mesh.p.T - apex
     return np.asarray(np.degrees(np.arctan2(out @ np.cross(axis, zero), out @ zero)))
@@ -206,32 +228,36 @@ def map_fibres(
             WHY,
             "remove small pieces from the labels, or choose another set",
         )
-    apex = _apex(muscle, arguments.apex)
-    along, share = _along(muscle, apex)
-    coordinates = _coordinates(muscle, along, apex)
+    apices = _apices(muscle, arguments)
+    along, share = _along(muscle, apices[0])
+    coordinates = _coordinates(muscle, along, apices)
     epi, rv = _harmonic(muscle, coordinates["transmural"]), None
     if "endo_rv" in muscle.nodes:
         ends = [(_points_on(muscle, "endo", "epi"), 0.0), (muscle.nodes["endo_rv"], 1.0)]
         rv = _harmonic(muscle, _solve(muscle, ends))
+        along, share = _along_both(muscle, mesh, members, apices, ventricle_share(epi, rv))
     vectors = directions(along, epi, rv, *_angles(arguments, epi.values, share))
     named = zip(("fibre", "sheet", "sheet_normal"), vectors, strict=True)
     fields = {name: _spread(found, muscle.cells, len(mesh.regions), 0.0) for name, found in named}
     at_points = {name: _spread(found, muscle.points, len(mesh.points), np.nan) for name, found in coordinates.items()}
     counts = (len(own), len(muscle.cells), int(is_level(along).sum()))
-    _report(arguments, muscle.basis.mesh.p.T[apex[0]], counts, context)
+    _report(arguments, [muscle.basis.mesh.p.T[apex[0]] for apex in apices], counts, context)
     context.results["fibres"]["helix_by_depth"] = helix_by_depth(vectors[0], along, epi, rv)
     return replace(mesh, fields=mesh.fields | fields, point_fields=at_points)
 
 
-def _coordinates(muscle: _Muscle, along: Points, apex: Labels) -> dict[str, Values]:
-    """Return the coordinates of the points by name."""
-    nodes = muscle.nodes
+def _coordinates(muscle: _Muscle, along: Points, apices: Sequence[Labels]) -> dict[str, Values]:
+    """Return the coordinates of the points by name, with the apicobasal gradients of the left."""
+    nodes, centres, (apex, *others) = muscle.nodes, muscle.centres, [muscle.basis.mesh.p.T[own[0]] for own in apices]
+    to_right = centres["endo_rv"] - apex if others else None
     found = {
-        "apicobasal": _apicobasal(muscle, along, apex, _points_on(muscle, "base", "outflow")),
+        "apicobasal": _apicobasal(muscle, along, apices[0], _points_on(muscle, "base", "outflow")),
         "transmural": _solve(muscle, [(_points_on(muscle, "endo", "endo_rv"), 0.0), (nodes["epi"], 1.0)]),
-        "rotational": _rotational(muscle, muscle.basis.mesh.p.T[apex[0]]),
+        "rotational": _rotational(muscle, apex, centres["base"], to_right),
     }
-    if "endo_rv" in nodes:
+    for right in others:
+        from_left = centres["endo_rv"] - centres["endo"]
+        found["rotational_rv"] = _rotational(muscle, right, centres["endo_rv"], from_left)
         found["transventricular"] = _solve(muscle, [(nodes["endo"], -1.0), (nodes["endo_rv"], 1.0)])
     return found
 
@@ -243,18 +269,26 @@ def _spread(values: Values, where: Labels, count: int, rest: float) -> Values:
     return found
 
 
-def _apex(muscle: _Muscle, wanted: tuple[float, float, float] | None) -> Labels:
-    """Return the point at the apex, shape ``(1,)``: see :attr:`.FibreArguments.apex`."""
-    points, nodes, base = muscle.basis.mesh.p.T, muscle.nodes, _points_on(muscle, "base", "outflow")
-    if wanted is None:
-        away, _ = KDTree(points[base]).query(points[nodes["epi"]])
-        return np.asarray(nodes["epi"][[away.argmax()]])
-    away = np.linalg.norm(points - wanted, axis=1)
-    away[base] = np.inf
-    return np.asarray(away.argmin(keepdims=True))
+def _apices(muscle: _Muscle, arguments: FibreArguments) -> list[Labels]:
+    """Return the point at the apex of each ventricle, shape ``(1,)``; see the arguments."""
+    points, epi, base = muscle.basis.mesh.p.T, muscle.nodes["epi"], _points_on(muscle, "base", "outflow")
+
+    def nearest(wanted: Points | tuple[float, ...], among: Labels) -> Labels:
+        return np.asarray(among[[np.linalg.norm(points[among] - wanted, axis=1).argmin()]])
+
+    def lowest(name: str) -> Labels:
+        away, _ = KDTree(points[base]).query(points[muscle.nodes[name]])
+        return np.asarray(muscle.nodes[name][[away.argmax()]])
+
+    off_base = np.setdiff1d(np.arange(len(points)), base)
+    found = [lowest("epi") if arguments.apex is None else nearest(arguments.apex, off_base)]
+    if "endo_rv" in muscle.nodes:
+        right = arguments.apex_rv
+        found.append(nearest(points[lowest("endo_rv")[0]], epi) if right is None else nearest(right, off_base))
+    return found
 
 
-def _report(arguments: FibreArguments, apex: Points, counts: tuple[int, int, int], context: Context) -> None:
+def _report(arguments: FibreArguments, apices: list[Points], counts: tuple[int, int, int], context: Context) -> None:
     """Add the fibres to the report; warn of tetrahedra without them, and of arbitrary ones."""
     total, connected, level = counts
     if lost := total - connected:
@@ -266,10 +300,10 @@ def _report(arguments: FibreArguments, apex: Points, counts: tuple[int, int, int
         )
     context.results["fibres"] = {
         **arguments.parameters(),
-        "apex_mm": apex.tolist(),
+        **{name: apex.tolist() for name, apex in zip(("apex_mm", "apex_rv_mm"), apices, strict=False)},
         "tetrahedra": connected,
         "not_connected": lost,
         "arbitrary": level,
     }
-    place = ", ".join(f"{x:.4g}" for x in apex)
-    context.closing.append(("fibres", f"{connected:,} tetrahedra, apex at ({place})"))
+    places = " and ".join(f"({', '.join(f'{x:.4g}' for x in apex)})" for apex in apices)
+    context.closing.append(("fibres", f"{connected:,} tetrahedra, apex at {places}"))

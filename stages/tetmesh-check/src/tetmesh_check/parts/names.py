@@ -22,7 +22,7 @@ WHY = "a boundary condition or contact there would apply to nothing or to the wr
 _KEYWORDS = ("caps", "outside", "object", *RESERVED)
 _ARRAYS = (
     "mark", "pair", "points", "triangles", "elements", "region", "region_before", "boundary", "tetrahedron", "point",
-    "apicobasal", "transmural", "rotational", "transventricular",
+    "apicobasal", "transmural", "rotational", "rotational_rv", "transventricular",
 )  # fmt: skip
 """Arrays of XDMF and VTK files, beside which sets have arrays."""
 
