@@ -266,7 +266,6 @@ def test_a_gap_wider_than_the_part_is_refused_before_the_tetrahedra(tmp_path: Pa
         (("--gap", "bone/cartilage=4"), "each side moves by 2 mm, but bone is at most 2 mm thick there"),
         (("--gap", "bone/cartilage=0"), "is not A/B=WIDTH with a width above 0"),
         (("--gap", "bone/muscle=1"), "'muscle' is not a material"),
-        (("--gap", "bone/cartilage=1", "--order", 2), "--gap bone/cartilage=1 with --order 2"),
         (("--split", "bone/cartilage", "--for", "simnibs"), "--split or --gap with --for simnibs"),
     ):
         done = run(*words, *more)

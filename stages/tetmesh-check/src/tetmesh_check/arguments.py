@@ -123,12 +123,6 @@ class Arguments:
         self._refuse_with_layers()
         if self.order == 1:
             return
-        if gaps := [split.text for split in self.splits if split.width]:
-            raise StageError(
-                f"{gaps[0]} with --order 2",
-                "the sides of a gap are moved as straight triangles, and those of --order 2 are curved",
-                "use --order 1, or --split, whose sides coincide",
-            )
         if self.distfield is None:
             raise StageError(
                 "--order 2 without --distfield",

@@ -4,11 +4,13 @@ A node moves by the vector d whose component along the normal of each adjacent t
 is half the gap, into its material (least squares). Its tangential component keeps the node on its
 other triangles, such as the free surface at the rim. The measured distances of the triangles
 correct these vectors in the same way. Interior nodes nearby follow. A node that both sides share
-stays.
+stays. The sides of quadratic tetrahedra are read as the four triangles between the nodes of each
+curved one.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +38,12 @@ _FINE = 1e-3
 1e-3, and 0.1 to 1.1 % with 1e-4."""
 _ROUNDS = 40
 """Maximum number of corrections. They end when the maximum error is below :data:`TOLERANCE`."""
+
+
+_QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
+"""Nodes of the triangles between the nodes of a quadratic triangle."""
+_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""Corners beside the nodes 4 to 9 of a quadratic tetrahedron."""
 
 
 class _Side(NamedTuple):
@@ -113,14 +121,42 @@ def open_gaps(mesh: MarkedMesh, parts: Parts, quality: TetrahedronQuality, limit
     StageError
         If a tetrahedron does not fit into the material beside the gap.
     """
-    sides = [_sides(mesh, interface) for interface in parts.splits]
-    gaps = [interface for interface in parts.splits if interface.split.width]
-    points = mesh.points
-    if gaps:
-        pairs = [(gap.split.width, pair) for gap, pair in zip(parts.splits, sides, strict=True) if gap.split.width]
-        points = _moved(mesh, pairs)
+    points, results, checks = _opened(mesh, parts)
+    if gaps := [interface for interface in parts.splits if interface.split.width]:
         before, quality = quality, tetrahedron_quality(points, mesh.tetrahedra)
         _refuse_poor(mesh, gaps, before, quality, limits)
+    return Opened(points, quality, results, checks)
+
+
+def open_curved_gaps(mesh: MarkedMesh, parts: Parts) -> tuple[Points, list[dict[str, Any]], list[Check]]:
+    """Open the gaps of a split mesh of quadratic tetrahedra; return nodes, measures and checks.
+
+    Nodes on other edges move by the mean of the ends of their edge.
+
+    Parameters
+    ----------
+    mesh
+        Quadratic tetrahedra, with split interfaces.
+    parts
+        The parts.
+    """
+    owners, before, marks = (np.repeat(values, 4) for values in (mesh.owners, mesh.before, mesh.marks))
+    quarters = mesh.faces[:, _QUARTERS].reshape(-1, 3)
+    flat = replace(mesh, elements=mesh.tetrahedra, faces=quarters, owners=owners, before=before, marks=marks)
+    points, results, checks = _opened(flat, parts)
+    moving = [number for own in parts.splits if own.split.width for number in own.first + own.second]
+    on_side = np.unique(mesh.faces[np.isin(mesh.marks, moving)])
+    shift, middles = points - mesh.points, mesh.elements[:, 4:]
+    is_free = ~np.isin(middles, on_side)
+    shift[middles[is_free]] = shift[mesh.elements[:, _EDGES][is_free]].mean(axis=1)
+    return mesh.points + shift, results, checks
+
+
+def _opened(mesh: MarkedMesh, parts: Parts) -> tuple[Points, list[dict[str, Any]], list[Check]]:
+    """Return the positions of the nodes with open gaps, measures and checks."""
+    sides = [_sides(mesh, interface) for interface in parts.splits]
+    pairs = [(own.split.width, pair) for own, pair in zip(parts.splits, sides, strict=True) if own.split.width]
+    points = _moved(mesh, pairs) if pairs else mesh.points
     results, checks = [], []
     for interface, pair in zip(parts.splits, sides, strict=True):
         found = _describe(mesh, interface, pair, points)
@@ -132,7 +168,7 @@ def open_gaps(mesh: MarkedMesh, parts: Parts, quality: TetrahedronQuality, limit
                 check("gap_width", off, 100.0 * TOLERANCE, gap=interface.split.text, told=told, off=plain(off))
             )
         results.append(found)
-    return Opened(points, quality, results, checks)
+    return points, results, checks
 
 
 def _describe(mesh: MarkedMesh, interface: SplitInterface, pair: _Pair, points: Points) -> dict[str, Any]:
@@ -196,9 +232,7 @@ def _distances(points: Points, side: _Side, other: _Side) -> tuple[Values, Value
 
 def _vectors(mesh: MarkedMesh, nodes: Labels, is_side: NDArray[np.bool_], heights: Values, least: float) -> Points:
     """Return the vectors by which nodes move if each triangle of a side moves by its height."""
-    sides, others = (
-        normal_system(mesh.points, mesh.boundary[own], nodes, heights[own]) for own in (is_side, ~is_side)
-    )
+    sides, others = (normal_system(mesh.points, mesh.boundary[own], nodes, heights[own]) for own in (is_side, ~is_side))
     return solve_in_turn(sides, others, (least, _OBLIQUE))
 
 

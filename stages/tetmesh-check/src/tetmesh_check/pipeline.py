@@ -27,12 +27,11 @@ from tetmesh_check.measures import mark, measure, separate
 from tetmesh_check.parts.caps import Border
 from tetmesh_check.parts.find import find_parts
 from tetmesh_check.parts.model import Parts
-from tetmesh_check.quadratic import make_quadratic
+from tetmesh_check.quadratic import make_quadratic, separate_curved
 from tetmesh_check.quality import Values, summarize, triangle_quality
 from tetmesh_check.regions import check_labels, distfield_parameter, has_scale, meshed_labels
 from tetmesh_check.report.rendering import drawing
 from tetmesh_check.space import output_space, turned
-from tetmesh_check.split import split
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.tets.fill import Filled, Task, fill
 from tetmesh_check.volumes import InputVolume, read_label_volume
@@ -146,11 +145,11 @@ def _curve(
     surface: Surface,
     context: Context,
 ) -> tuple[MarkedMesh, list[Check]]:
-    """Add a node on each edge, split interfaces, write this mesh, and check it."""
+    """Add a node on each edge, split interfaces, open gaps, write this mesh, and check it."""
     path, sides = arguments.quadratic, surface.sides
     with context.step("quadratic"):
-        curved = make_quadratic(marked, field, sides, surface.planes)
-        mesh = split(curved.mesh, parts)
+        curved = separate_curved(make_quadratic(marked, field, sides, surface.planes), parts)
+        mesh = curved.mesh
         write_volume(path, mesh, {"jacobian_bound": curved.jacobian}, context.history())
     found = context.results["quadratic"] = {"file": path.name, **curved.results, "nodes": len(mesh.points)}
     nodes, middles = (found["distance_mm"][key].get("max", 0.0) for key in ("mid_edge_nodes", "middles_of_edges"))

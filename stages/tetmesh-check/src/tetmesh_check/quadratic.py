@@ -10,12 +10,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from isoparticles._native import DistanceField
+from isoparticles._native import DistanceField, jacobian_coefficients
 
 from tetmesh_check.checks import Check, check
 from tetmesh_check.export.mesh import MarkedMesh
+from tetmesh_check.gap import open_curved_gaps
 from tetmesh_check.materials import Planes, Sides, materials_in_front
-from tetmesh_check.quality import Values, summarize
+from tetmesh_check.parts.model import Parts
+from tetmesh_check.quality import Values, signed_tetrahedron_volumes, summarize
+from tetmesh_check.split import split
 
 
 class Quadratic(NamedTuple):
@@ -91,3 +94,31 @@ def make_quadratic(
         check("nodes_on_surface", results["not_on_surface"], zero=zero, **results),
     ]
     return Quadratic(curved_mesh, found["jacobian"], results, checks)
+
+
+def separate_curved(curved: Quadratic, parts: Parts) -> Quadratic:
+    """Split the interfaces of a quadratic mesh and open their gaps.
+
+    Distances of nodes and volumes in the results remain those of the joined mesh.
+
+    Parameters
+    ----------
+    curved
+        The joined mesh.
+    parts
+        The parts, with both sides of the split interfaces.
+    """
+    mesh = split(curved.mesh, parts)
+    if not mesh.contacts or not any(interface.split.width for interface in parts.splits):
+        return curved._replace(mesh=mesh)
+    points, rows, checks = open_curved_gaps(mesh, parts)
+    moved = np.flatnonzero((points != mesh.points).any(axis=1)[mesh.elements].any(axis=1))
+    elements, jacobian = mesh.elements[moved], curved.jacobian.copy()
+    straight = 6.0 * np.abs(signed_tetrahedron_volumes(points, elements[:, :4]))
+    jacobian[moved] = jacobian_coefficients(points[elements].reshape(-1, 3)).min(axis=1) / np.maximum(straight, 1e-300)
+    folded = curved.results["folded"] + int(((jacobian <= 0.0) & (curved.jacobian > 0.0)).sum())
+    results = curved.results | {
+        "jacobian": summarize(jacobian, np.linspace(0.0, 1.0, 51)), "folded": folded, "split": rows
+    }  # fmt: skip
+    checks = [check("quadratic_jacobian", folded), *curved.checks[1:], *checks]
+    return Quadratic(replace(mesh, points=points), jacobian, results, checks)
