@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import pyvista as pv
 from complexes import nested_balls
 from conftest import NEEDS_HXT, Run, write_sizing
+from febio import owner_of, read_febio
 from isoparticles import _native
 from test_gap import distances
 from test_quadratic_materials import write_materials
@@ -74,13 +74,11 @@ def test_curved_sides_keep_their_distance(folder: Path, run: Run, tmp_path: Path
     )
     done = run(*words, *more)
     assert done.returncode == 0, done.stderr
-    febio = ElementTree.parse(tmp_path / "b.volume.feb").getroot()
-    points = np.array([[float(x) for x in (node.text or "").split(",")] for node in febio.iterfind("Mesh/Nodes/node")])
-    surfaces = {
-        surface.get("name"): np.array([[int(n) - 1 for n in (face.text or "").split(",")] for face in surface])
-        for surface in febio.iterfind("Mesh/Surface")
-    }
-    sides = [pieces_of(points, surfaces[name]) for name in ("core_to_shell", "shell_to_core")]
+    febio = read_febio(tmp_path / "b.volume.feb")
+    assert febio.contacts == [("shell_to_core", "core_to_shell")]
+    assert [owner_of(febio, name) for name in febio.contacts[0]] == ["shell", "core"]
+    points = febio.points
+    sides = [pieces_of(points, febio.surfaces[name]) for name in ("core_to_shell", "shell_to_core")]
     for (at, _), radius in zip(sides, (INNER - WIDTH / 2, INNER + WIDTH / 2), strict=True):
         np.testing.assert_allclose(np.linalg.norm(at, axis=1), radius, atol=0.02 * WIDTH)
     (one, first), (other, second) = sides

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import meshio
 import numpy as np
 import pytest
 from complexes import between, cells_of_a_block
 from conftest import NEEDS_HXT, Run, quiet_context, write_sizing
+from febio import owner_of, read_febio
 from isoparticles._native import surface_topology
 from test_solve import block
 
@@ -230,20 +230,14 @@ def test_contact_pairs_are_read_back(tmp_path: Path) -> None:
     assert all(f"*SURFACE, NAME={name}, TYPE=ELEMENT" in lines for name in pair)
     assert "*SURFACE INTERACTION, NAME=CONTACT_1" in lines
 
-    febio = ElementTree.parse(tmp_path / "b.volume.feb").getroot()
-    (pair_of_surfaces,) = febio.iterfind("Mesh/SurfacePair")
-    (contact,) = febio.iterfind("Contact/contact")
-    assert contact.get("surface_pair") == pair_of_surfaces.get("name")
-    assert contact.get("type") == "sliding-elastic"
-    at = np.array([[float(x) for x in (node.text or "").split(",")] for node in febio.iterfind("Mesh/Nodes/node")])
-    (first, second) = (
-        np.array([[int(n) - 1 for n in (face.text or "").split(",")] for face in surface])
-        for name in ("primary", "secondary")
-        for surface in febio.iterfind("Mesh/Surface")
-        if surface.get("name") == pair_of_surfaces.findtext(name)
-    )
+    febio = read_febio(tmp_path / "b.volume.feb")
+    np.testing.assert_array_equal(febio.points, apart.points)
+    (sides,) = febio.contacts
+    assert sides == ("cartilage_to_bone", "bone_to_cartilage")
+    assert [owner_of(febio, side) for side in sides] == ["cartilage", "bone"]
+    first, second = (febio.surfaces[side] for side in sides)
     assert not np.intersect1d(first, second).size
-    np.testing.assert_array_equal(at[first].mean(axis=1), at[second].mean(axis=1))
+    np.testing.assert_array_equal(febio.points[first].mean(axis=1), febio.points[second].mean(axis=1))
 
 
 def test_an_interface_that_lost_tetrahedra_is_not_split(capfd: pytest.CaptureFixture[str]) -> None:
