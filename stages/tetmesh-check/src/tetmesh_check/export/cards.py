@@ -37,17 +37,20 @@ def cards_of(mesh: MarkedMesh, own: Labels, values: tuple[Values, Values, Values
     """
     density, modulus, volume = values
     low, width = float(modulus.min()), float(np.ptp(modulus)) / bins
-    which = np.minimum((modulus - low) / (width or 1.0), bins - 1).astype(np.int64)
+    regions = mesh.region_sets
+    group = np.minimum((modulus - low) / (width or 1.0), bins - 1).astype(np.int64)
+    for number, region in enumerate(regions[1:], 1):
+        group[mesh.regions[own] == region.number] += bins * number
+    counts, volumes = np.bincount(group), np.maximum(np.bincount(group, volume), 1e-300)
+    means = np.column_stack([np.bincount(group, volume * of) / volumes for of in (modulus, density)]).tolist()
+    # numbers of 16 bits are sorted six times faster than those of 64 bits
+    order = np.argsort(group.astype(np.min_scalar_type(len(counts))), kind="stable")
+    ends = np.cumsum(counts)
     found = []
-    for region in mesh.region_sets:
-        in_region = mesh.regions[own] == region.number
-        for number in np.unique(which[in_region]).tolist():
-            chosen = np.flatnonzero(in_region & (which == number))
-            mean_modulus, mean_density = (
-                float(np.average(of[chosen], weights=volume[chosen])) for of in (modulus, density)
-            )
-            name = f"{region.name}_E{number + 1}"
-            found.append(Card(region.number, name, own[chosen], mean_modulus, max(mean_density, MIN_DENSITY)))
+    for number in np.flatnonzero(counts).tolist():
+        region, members = regions[number // bins], own[order[ends[number] - counts[number] : ends[number]]]
+        name, (stiffness, mean_density) = f"{region.name}_E{number % bins + 1}", means[number]
+        found.append(Card(region.number, name, members, stiffness, max(mean_density, MIN_DENSITY)))
     taken = [own.name for own in (*mesh.region_sets, *mesh.named_sets)]
     names = plain_names([card.name for card in found], taken)
     return [card._replace(name=name) for card, name in zip(found, names, strict=True)]
