@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import isoparticles as iso
 import numpy as np
 import pytest
 import pyvista as pv
 from complexes import Made, cells_of_a_block, nested_balls, sectors_of_a_ball
+from conftest import NEEDS_HXT
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.surface import check_surface, read_surface
@@ -179,3 +181,16 @@ def test_the_surface_of_one_object_has_no_sides(tmp_path: Path) -> None:
     surface = pv.Icosphere(radius=3.0, nsub=1)
     surface.save(tmp_path / "ball.vtp")
     assert read_surface(tmp_path / "ball.vtp").sides is None
+
+
+@NEEDS_HXT
+def test_the_surface_of_one_material_is_filled() -> None:
+    away = np.linalg.norm(np.moveaxis(np.indices((25, 25, 25)), 0, -1) - 12.0, axis=-1)
+    labels = np.select([away < 5.0, away < 9.0], [2, 1], 0).astype(np.uint8)
+    whole = iso.mesh(labels, materials={"shell": 1, "core": 2}, size=2, backend="cpu")
+    with pytest.warns(iso.MeshWarning, match="the volume changes by"):
+        filled = iso.fill(whole.result, whole.size, method="hxt", solve="no")
+    for row in filled.report["results"]["volume"]["regions"]:
+        own = iso.fill(whole.result.of(row["name"]), whole.size, method="hxt", solve="no")
+        assert own.failed_checks == []
+        assert own.report["results"]["volume"]["volume_mm3"] == pytest.approx(row["volume_mm3"], rel=1e-9)

@@ -117,8 +117,19 @@ def materials_in_front(sides: Sides, planes: Planes | None) -> Labels:
     return np.where(planes.of_triangles < 0, sides.outside, len(sides.table) + planes.of_triangles)
 
 
+def _is_of_one(surface: pv.PolyData) -> bool:
+    """Return whether the metadata of a surface name the only material inside it."""
+    try:
+        return "material" in json.loads(text_of(surface, "meta") or "{}")
+    except (ValueError, TypeError):
+        return False
+
+
 def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
-    """Return the materials of a surface; ``None`` for the surface of one object.
+    """Return the materials of a surface; ``None`` for that of one object or of one material.
+
+    A surface of one material of several (``reconstruct --each``) has the text ``material`` in its
+    metadata, and only the array of the materials outside.
 
     Parameters
     ----------
@@ -135,7 +146,7 @@ def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
     """
     refuse = partial(refuse_file, path, remedy="give the surface that reconstruct wrote for many materials")
     arrays = {name: np.asarray(surface.cell_data[name]) for name in (INSIDE, OUTSIDE) if name in surface.cell_data}
-    if not arrays:
+    if not arrays or (list(arrays) == [OUTSIDE] and _is_of_one(surface)):
         return None
     if len(arrays) == 1:
         between = "a triangle lies between two materials"
