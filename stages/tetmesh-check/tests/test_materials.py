@@ -260,7 +260,6 @@ def test_what_takes_one_object_only_is_refused(tmp_path: Path, run: Run) -> None
     ball().save(tmp_path / "ball.vtp")
     for words, said in (
         (("--method", "ftetwild"), "--method ftetwild supports one object only"),
-        (("--method", "tetgen"), "--method tetgen supports one object only"),
         (("--source", "lung"), "'lung' is not a material of the surface: one, two, three"),
         (("--conductivity", "two=0.2"), "--conductivity was given without --source"),
         (("--conductivity", "two"), "'two' is not NAME=VALUE"),

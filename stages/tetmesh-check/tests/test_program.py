@@ -353,7 +353,7 @@ UNKNOWN = {"materials": None, "volume": False}
         (ONE, "--density ct.nrrd --calibrate 1,0 --law hooke", "nor one of vertebra"),
         (ONE, "--source heart", "that of one object"),
         (MANY, "--source haert", "'haert' is not a material of the surface: heart, lungs"),
-        (MANY, "--method tetgen", "supports one object only"),
+        (MANY, "--method ftetwild", "supports one object only"),
         (UNKNOWN, "--conductivity heart=2 --no-such-option", "--no-such-option"),
         (UNKNOWN, "--source haert", None),
         pytest.param(MANY, "--source heart --conductivity lungs=0.2", None, marks=NEEDS_HXT),

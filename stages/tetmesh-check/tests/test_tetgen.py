@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from complexes import Made, nested_balls
 from conftest import NEEDS_TETGEN, Run, ball, fake_library, merged, reversed_winding, tetrahedra, write_sizing
 
 from tetmesh_check.quality import signed_tetrahedron_volumes
@@ -48,6 +49,57 @@ def test_cavities_and_bodies_within(tmp_path: Path, run: Run) -> None:
     truth = balls[0].volume + balls[2].volume - balls[1].volume + balls[3].volume
     assert volumes.sum() == pytest.approx(truth, rel=1e-6)
     assert "only the maximum volume" in done.stderr
+
+
+def around_a_void() -> Made:
+    """Return a core and a shell, and a void between another shell and the outermost material."""
+    made = nested_balls((10.0, 8.0, 6.0, 3.0), (3, 3, 3, 2), ("case", "void", "shell", "core"))
+    number = np.array([0, 1, 0, 2, 3])
+    inside, outside = number[made.inside], number[made.outside]
+    is_turned = inside < outside
+    return Made(
+        made.points,
+        np.where(is_turned[:, None], made.triangles[:, ::-1], made.triangles),
+        np.where(is_turned, outside, inside),
+        np.where(is_turned, inside, outside),
+        ("case", "shell", "core"),
+    )
+
+
+def test_the_outside_has_a_point_at_each_shell(tmp_path: Path) -> None:
+    surface = read_surface(around_a_void().save(tmp_path / "s.vtp"))
+    _, shells = check_surface(tmp_path / "s.vtp", surface)
+    away = np.sort(np.linalg.norm(cavity_points(surface, shells), axis=1))
+    # flat triangles lie inside their spheres
+    np.testing.assert_allclose(away, [6.0, 8.0, 10.0], rtol=0.01)
+
+
+@NEEDS_TETGEN
+def test_many_materials_keep_their_interfaces(tmp_path: Path, run: Run) -> None:
+    around_a_void().save(tmp_path / "s.vtp")
+    write_sizing(tmp_path / "h.vti", lambda world: np.full(len(world), 1.2))
+    done = run(
+        "s.vtp",
+        "--sizefield",
+        "h.vti",
+        "-o",
+        "s.volume.vtu",
+        "--method",
+        "tetgen",
+        "--report",
+        "r.json",
+        "--solve",
+        "no",
+    )
+    assert done.returncode in (0, 1), done.stderr
+    results = json.loads((tmp_path / "r.json").read_text())["results"]
+    assert results["tetrahedralizer"]["method"] == "tetgen"
+    volume = results["volume"]
+    assert volume["interfaces_kept"]
+    assert volume["undecided_tetrahedra"] == volume["crowded_faces"] == 0
+    assert [row["name"] for row in volume["regions"]] == ["case", "shell", "core"]
+    for row in volume["regions"]:
+        assert row["volume_mm3"] == pytest.approx(row["surface_volume_mm3"], rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def _check_options(known: str, words: list[str]) -> None:
     arguments = _arguments(parsed)
     if materials:
         arguments.refuse_for_materials()
-    method = "hxt" if materials else arguments.method
+    method = "hxt" if materials and arguments.method == "auto" else arguments.method
     if method in workers:
         workers[method].refuse_missing()
     for option, path in (("--labels-volume", parsed.labels_volume), ("--density", parsed.density)):

@@ -68,6 +68,10 @@ class Components(NamedTuple):
         bodies = np.unique(outer, return_inverse=True)[1].ravel()
         return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
 
+    def cavities(self) -> tuple[Labels, Labels]:
+        """Return the component of each triangle, and the components that bound a cavity."""
+        return self.labels, np.flatnonzero(self.depths % 2 == 1)
+
 
 class Shells(NamedTuple):
     """The volumes of a surface of many materials: connected parts of one material each."""
@@ -97,6 +101,10 @@ class Shells(NamedTuple):
         A pair is called a sheet. No two volumes or cavities are bounded by the same sheets.
         """
         return pairs_of(self.of_inside, self.of_outside)
+
+    def cavities(self) -> tuple[Labels, Labels]:
+        """Return the volume in front of each triangle, and the outside of each shell."""
+        return self.of_outside, np.unique(self.of_outside[self.of_outside < 0])
 
 
 class Boundary(NamedTuple):

@@ -201,10 +201,10 @@ def mend(raw: Raw | Filled, triangles: Cells, sides: Sides, limits: Limits) -> t
 
 def _choose(arguments: Arguments, surface: Surface) -> tuple[Method, str]:
     """Resolve ``auto``; return the method and the reason."""
-    if surface.sides is not None:
-        return "hxt", "the surface has several materials, and Gmsh keeps the triangles between them"
     if arguments.method != "auto":
         return arguments.method, f"--method {arguments.method} was given"
+    if surface.sides is not None:
+        return "hxt", "the surface has several materials, and Gmsh keeps the triangles between them"
     if arguments.order == 2:
         return "hxt", "--order 2 needs the vertices of the surface, which lie on F = 0"
     vertices = len(surface.points)
@@ -234,11 +234,9 @@ def _by_gmsh(task: Task, attempts: _Attempts, context: Context) -> None:
             break
 
 
-def _mend(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
-    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal; return the verdict."""
-    assert attempts.best is not None, "Gmsh filled the surface"
-    verdict, filled, entry = attempts.best
-    surface, fit = task.surface, filled.conformity
+def _refuse_undecided(task: Task, filled: Filled) -> None:
+    """Refuse tetrahedra without a material."""
+    fit = filled.conformity
     if fit is not None and fit.undecided:
         raise StageError(
             f"the material of {fit.undecided} tetrahedra is unknown: the tetrahedralizer lost "
@@ -246,6 +244,14 @@ def _mend(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
             "without these triangles the materials are not separated; nothing was written",
             f"see its log, {task.arguments.log}, or try another --tet-size-factor",
         )
+
+
+def _mend(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
+    """Mend the tetrahedra of Gmsh that miss a limit of shape or the goal; return the verdict."""
+    assert attempts.best is not None, "Gmsh filled the surface"
+    verdict, filled, entry = attempts.best
+    _refuse_undecided(task, filled)
+    surface, fit = task.surface, filled.conformity
     if verdict.fitting or (fit is None and verdict.well):
         return verdict
     inside = np.ones(len(surface.triangles), dtype=np.int64)
@@ -265,7 +271,6 @@ def _mend(task: Task, attempts: _Attempts, context: Context) -> _Verdict:
 
 
 def _by_tetgen(task: Task, attempts: _Attempts, context: Context) -> None:
-    assert isinstance(task.parts, Components), "many materials are refused"
     with context.step("background sizing"):
         lengths = task.field.background(task.surface.points, task.surface.triangles, MAX_BACKGROUND_NODES)[2]
         largest = task.arguments.tet_size_factor * float(lengths.max())
@@ -274,7 +279,7 @@ def _by_tetgen(task: Task, attempts: _Attempts, context: Context) -> None:
     )
     with context.step("tetrahedralize"):
         raw = fill_by_tetgen(task.surface, task.parts, regular_volume(largest), attempts.runner)
-    attempts.judge(raw, "tetgen")
+    attempts.judge(raw, "tetgen", "tetgen")
 
 
 def _by_tetwild(task: Task, attempts: _Attempts, context: Context) -> None:
@@ -353,6 +358,7 @@ def fill(task: Task, context: Context) -> Filled:
         _by_tetwild(task, attempts, context)
     assert attempts.best is not None, "an attempt is added or an error raised"
     _, filled, entry = attempts.best
+    _refuse_undecided(task, filled)
     results |= {key: entry[key] for key in ("method", "algorithm") if key in entry}
     context.parameters["method"] = results["method"]
     if chosen != results["method"]:

@@ -18,7 +18,7 @@ from tetmesh_check.tets.worker import Job, Raw, Runner, Worker, scale_of, serve
 
 if TYPE_CHECKING:
     from tetmesh_check.surface import Surface
-    from tetmesh_check.topology import Components
+    from tetmesh_check.topology import Components, Shells
 
 _SHAPE = {"max_radius_edge_ratio": 1.414, "min_dihedral": 10.0}
 """Maximum ratio of circumradius to shortest edge, and minimum dihedral angle (degrees), if the
@@ -51,34 +51,34 @@ def regular_volume(edge_length: float) -> float:
     return edge_length**3 / (6.0 * math.sqrt(2.0))
 
 
-def cavity_points(surface: Surface, components: Components) -> Points:
+def cavity_points(surface: Surface, parts: Components | Shells) -> Points:
     """Find a point in every cavity, near its largest triangle; shape ``(k, 3)``, mm.
 
     Parameters
     ----------
     surface
         A checked surface.
-    components
-        Its components; a cavity is one at an odd depth.
+    parts
+        Its components, or the volumes of many materials.
     """
     a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)  # out of the object, into the cavity
     sizes = np.linalg.norm(normals, axis=1)
-    cavities = np.flatnonzero(components.depths % 2 == 1)
-    at = [int(np.argmax(np.where(components.labels == cavity, sizes, -1.0))) for cavity in cavities]
+    labels, cavities = parts.cavities()
+    at = [int(np.argmax(np.where(labels == cavity, sizes, -1.0))) for cavity in cavities]
     points: Points = (a[at] + b[at] + c[at]) / 3.0 + _NEAR * normals[at] / np.sqrt(sizes[at])[:, None]
     return points
 
 
-def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, runner: Runner) -> Raw:
+def fill_by_tetgen(surface: Surface, parts: Components | Shells, max_volume: float, runner: Runner) -> Raw:
     """Fill a surface with tetrahedra.
 
     Parameters
     ----------
     surface
         A checked surface.
-    components
-        Its components and their nesting.
+    parts
+        Its components and their nesting, or the volumes of many materials.
     max_volume
         Target for the maximum volume of a tetrahedron, mm^3. The final optimization may exceed it.
     runner
@@ -89,7 +89,7 @@ def fill_by_tetgen(surface: Surface, components: Components, max_volume: float, 
         "scale": scale,
         "points": scale * surface.points,
         "triangles": surface.triangles.astype(np.int32),
-        "cavities": scale * cavity_points(surface, components),
+        "cavities": scale * cavity_points(surface, parts),
         "max_volume": scale**3 * max_volume,
         **_SHAPE,
     }
