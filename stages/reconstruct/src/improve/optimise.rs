@@ -11,7 +11,7 @@
 //! on the number of threads.
 
 use super::acceptance::Limits;
-use super::constants::{AIM, BATCH, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT};
+use super::constants::{AIM, BATCH, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT, WORTH_OF_UNFIT};
 use super::lift::{lift, lift_by_two};
 use super::patch::{Edits, Patch};
 use super::surface::Surface;
@@ -109,8 +109,9 @@ impl Level {
 }
 
 /// The work at a level of a band, in transactions. The level ends when its wasted work exceeds its
-/// useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of lifted triangles to a new
-/// maximum. The number of bad triangles therefore bounds the total work.
+/// useful work by [`WASTED_WORK_LIMIT`]. Below [`FIT`], the useful work counts [`WORTH_OF_UNFIT`]
+/// times. Useful work raises the number of lifted triangles to a new maximum. The number of bad
+/// triangles therefore bounds the total work.
 #[derive(Clone, Copy, Default)]
 struct Budget {
     useful: usize,
@@ -125,9 +126,10 @@ struct Budget {
 
 impl Budget {
     /// Returns the number of attempts that the remaining budget allows at the mean cost so far; at
-    /// least one while any budget remains.
-    fn left(&self, limit: usize) -> usize {
-        let left = (limit + self.useful).saturating_sub(self.wasted);
+    /// least one while any budget remains. `worth` is the wasted work that a unit of useful work
+    /// allows.
+    fn left(&self, limit: usize, worth: usize) -> usize {
+        let left = (limit + worth * self.useful).saturating_sub(self.wasted);
         let mean_cost = (self.useful + self.wasted).div_ceil(self.attempts.max(1));
         match (left, mean_cost) {
             (0, _) => 0,
@@ -189,6 +191,12 @@ impl Queue {
         queue
     }
 
+    /// Returns the number of attempts that the budget of a tier allows.
+    fn left(&self, (band, level): Tier) -> usize {
+        let worth = if self.bands[band] <= FIT { WORTH_OF_UNFIT } else { 1 };
+        self.budgets[band][level].left(self.limit, worth)
+    }
+
     /// Returns the bits of the quality of a triangle, or 0 at a grid node on the wrong side.
     fn rank(&self, surface: &Surface, t: u32) -> u64 {
         let is_at_node = surface.is_alive(t) && self.at_nodes.binary_search(&t).is_ok();
@@ -202,9 +210,8 @@ impl Queue {
         let rank = self.rank(surface, t);
         let quality = f64::from_bits(rank);
         let tier = self.bands.iter().position(|&bar| quality < bar).and_then(|band| {
-            let is_open = |&level: &usize| {
-                self.budgets[band][level].left(self.limit) > 0 && self.levels[level].applies(surface, t, quality)
-            };
+            let is_open =
+                |&level: &usize| self.left((band, level)) > 0 && self.levels[level].applies(surface, t, quality);
             Some((band, (least..LEVELS).find(is_open)?))
         });
         self.tier_of[t as usize] = tier.unwrap_or(DONE);
@@ -217,7 +224,7 @@ impl Queue {
         let mut batch = Vec::new();
         let mut tier = DONE;
         while let Some(&Reverse((next, rank, t))) = self.heap.peek() {
-            let left = self.budgets[next.0][next.1].left(self.limit);
+            let left = self.left(next);
             if !batch.is_empty() && (next != tier || batch.len() >= left.min(BATCH)) {
                 break;
             }
