@@ -1,6 +1,7 @@
 //! A triangle mesh that can be edited: positions, triangles, and the triangles around each vertex.
 //! A log records all edits until [`Surface::commit`], so that they can be rolled back.
 
+mod at_nodes;
 mod edits;
 pub(super) mod measure;
 
@@ -421,41 +422,6 @@ impl<'a> Surface<'a> {
         count - (angle / FRAC_PI_3).round().max(1.0) as i64
     }
 
-    /// Returns whether grid nodes are guarded and some of them are on the wrong side.
-    pub(super) fn has_wrong_nodes(&self) -> bool {
-        self.sides.as_ref().is_some_and(|sides| sides.wrong_count() > 0)
-    }
-
-    /// Returns the triangles nearest to the grid nodes on the wrong side, ascending.
-    pub(super) fn triangles_at_wrong_nodes(&self) -> Vec<u32> {
-        let places = self.sides.as_ref().map_or_else(Vec::new, NodeSides::wrong_places);
-        let mut nearest: Vec<u32> = places.into_par_iter().filter_map(|p| self.nearest_triangle(p)).collect();
-        nearest.sort_unstable();
-        nearest.dedup();
-        nearest
-    }
-
-    /// Returns the triangle nearest to a point, and the lowest index of several. Returns `None`
-    /// without a grid or triangles.
-    fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
-        let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
-        let mut reach = self.field.voxel();
-        loop {
-            let mut best: Option<(f64, u32)> = None;
-            self.grid.as_ref()?.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
-                let rated = (distance_to_triangle(p, self.corners(t)), t);
-                if rated.0 <= reach && best.is_none_or(|best| rated < best) {
-                    best = Some(rated);
-                }
-                false
-            });
-            if best.is_some() || reach > furthest {
-                return best.map(|(_, t)| t);
-            }
-            reach *= 2.0;
-        }
-    }
-
     fn is_closed_fan(&self, vertex: u32) -> bool {
         let link: Vec<(u32, u32)> = self.link(vertex).collect();
         let Some(&(start, mut at)) = link.first() else { return false };
@@ -493,20 +459,6 @@ pub(super) fn compacted(
     let mut is_alive = triangles.iter().map(|corners| *corners != DEAD);
     pair.retain(|_| is_alive.next() == Some(true));
     (mesh, pair, number)
-}
-
-/// Returns the distance from `p` to a triangle.
-fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
-    let normal = (b - a).cross(c - a).normalize_or_zero();
-    let sides = [(a, b), (b, c), (c, a)];
-    if normal != DVec3::ZERO && sides.iter().all(|&(from, to)| (to - from).cross(p - from).dot(normal) >= 0.0) {
-        return (p - a).dot(normal).abs();
-    }
-    let to_side = |(from, to): (DVec3, DVec3)| {
-        let share = (p - from).dot(to - from) / (to - from).length_squared().max(f64::MIN_POSITIVE);
-        p.distance(from.lerp(to, share.clamp(0.0, 1.0)))
-    };
-    sides.map(to_side).into_iter().fold(f64::INFINITY, f64::min)
 }
 
 /// Returns the edges of given triangles without duplicates, in ascending order, each with the lower

@@ -9,7 +9,7 @@
 
 use super::acceptance::{Goal, Limits};
 use super::constants::{BLOCK, GOOD, PRICE_OF_DEVIATION, VISITS};
-use super::patch::Patch;
+use super::patch::{Edits, Patch};
 use super::smooth::smooth;
 use super::surface::{DEAD, Surface};
 use super::thin::thin_out;
@@ -47,7 +47,7 @@ pub(super) fn sweep(
     let mut todo: Vec<bool> = surface.frozen.iter().map(|frozen| !frozen).collect();
     let count = todo.iter().filter(|&&todo| todo).count();
     let visits = (sweeps - 1) as f64 + VISITS as f64 / count as f64;
-    let work = |part: &mut Surface, todo: &[bool]| {
+    let work = |part: &mut Surface, todo: &[bool]| -> Result<Tally> {
         let mut tally = Tally::default();
         step()?;
         if thins {
@@ -57,7 +57,7 @@ pub(super) fn sweep(
         remesh::relax_all(part, limits, GOAL, todo, &mut tally);
         let share = todo.iter().filter(|&&todo| todo).count() as f64;
         smooth_all(part, limits, todo, (visits * share) as usize, step, &mut tally)?;
-        Ok::<_, isoparticles_stage::error::Error>(tally)
+        Ok(tally)
     };
     let mut tallies = Vec::new();
     // the grid is filled again after the last round
@@ -65,25 +65,7 @@ pub(super) fn sweep(
     let side = BLOCK * mean_edge(surface);
     for (share, before) in ROUNDS {
         let blocks = blocks(surface, &todo, share * side, before);
-        let in_block = |block: &Block| {
-            step()?;
-            let worked = |looks_at_each: bool| {
-                let mut part = Patch::of(surface, &block.region, block.triangles.clone());
-                part.keep_free(|v| block.free.binary_search(&v).is_ok());
-                let todo = part.pick(&todo);
-                if looks_at_each {
-                    part.surface.fill_grid();
-                }
-                Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
-            };
-            // intersections are rare: test once at the end, and if there are any, repeat the block
-            // with a test of each transaction
-            let (mut tally, mut part) = worked(false)?;
-            if part.surface.crosses_in_all() {
-                (tally, part) = worked(true)?;
-            }
-            Ok((part.turned_nodes(surface), part.edits(surface), tally))
-        };
+        let in_block = |block: &Block| improved(surface, block, &todo, &work);
         let done: Vec<_> = blocks.par_iter().map(in_block).collect::<Result<_>>()?;
         for (nodes, edits, tally) in done {
             edits.commit(surface, &nodes);
@@ -97,6 +79,32 @@ pub(super) fn sweep(
     }
     tallies.into_iter().for_each(|own| *tally += own);
     Ok(())
+}
+
+/// Works on a copy of a block, at the vertices in `todo`. Returns the grid nodes that change sides,
+/// the edits of the surface, and the numbers of moves.
+fn improved(
+    surface: &Surface,
+    block: &Block,
+    todo: &[bool],
+    work: &impl Fn(&mut Surface, &[bool]) -> Result<Tally>,
+) -> Result<(Vec<usize>, Edits, Tally)> {
+    let worked = |tests_each: bool| -> Result<(Tally, Patch)> {
+        let mut part = Patch::of(surface, &block.region, block.triangles.clone());
+        part.keep_free(|v| block.free.binary_search(&v).is_ok());
+        let todo = part.pick(todo);
+        if tests_each {
+            part.surface.fill_grid();
+        }
+        Ok((work(&mut part.surface, &todo)?, part))
+    };
+    // intersections are rare: test once at the end, and if there are any, repeat the block with a
+    // test of each transaction
+    let (mut tally, mut part) = worked(false)?;
+    if part.surface.crosses_in_all() {
+        (tally, part) = worked(true)?;
+    }
+    Ok((part.turned_nodes(surface), part.edits(surface), tally))
 }
 
 /// Flips edges and smooths vertices: first at the vertices in `todo`, then at the moved vertices
