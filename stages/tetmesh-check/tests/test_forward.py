@@ -115,10 +115,20 @@ def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> Non
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(potential.max(), rel=1e-6)
     assert regions["heart"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[4.0, 0, 0]]), 2.0)[0], rel=0.05)
     assert regions["body"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[6.0, 0, 0]]), 2.0)[0], rel=0.05)
+    written = tetrahedra(tmp_path / "c.vtu")[2].point_data["potential"]
+    np.testing.assert_allclose(written, potential, atol=1e-8 * np.abs(potential).max())
     # the currents into and out of the lung through its interface with the body nearly cancel
     through = {entry["name"]: entry for entry in figures["interfaces"]}
     assert abs(through["lung/body"]["net_ua"]) < 0.01 * through["lung/body"]["passing_ua"]
     assert through["body/outside"]["net_ua"] == 0.0
+
+
+@NEEDS_HXT
+def test_a_skipped_source_is_a_warning(tmp_path: Path, run: Run) -> None:
+    nested_balls(RADII, (2, 2, 2), ("body", "lung", "heart")).save(tmp_path / "c.vtp")
+    done = run("c.vtp", "-o", "c.vtu", "-q", "--source", "heart", "--solve", "no")
+    assert done.returncode == 0
+    assert "warning: no problem is solved: --solve no was given" in done.stderr
 
 
 def test_a_bar_of_two_materials() -> None:

@@ -247,7 +247,7 @@ def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> No
 def test_bounds(mode: str, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solve, "AUTO_MAX_TETRAHEDRA", 100)
     context = quiet_context()
-    checks = solve_on(mesh_of(*block((3, 3, 3))), mode, 1e-9, context)
+    checks, _ = solve_on(mesh_of(*block((3, 3, 3))), mode, 1e-9, context)
     assert context.results["solve"]["done"] is False
     assert reason in context.results["solve"]["reason"]
     assert checks == []
@@ -288,14 +288,14 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
 
 def test_a_mesh_without_points_inside() -> None:
     context = quiet_context()
-    assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context)] == [True]
+    assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context)[0]] == [True]
     assert context.results["solve"]["poisson"]["unknowns"] == 0
 
 
 def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(solver, "COARSEST", 2)
-    checks = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, quiet_context())
+    checks, _ = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, quiet_context())
     verdicts = {check.name: check for check in checks}
     assert not verdicts["solve_converged"].passed
     assert verdicts["solve_converged"].required
@@ -309,7 +309,7 @@ def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytes
 
     monkeypatch.setattr(problems, "elasticity", too_large)
     context = quiet_context()
-    checks = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, context)
+    checks, _ = solve_on(mesh_of(*block((4, 4, 4))), "auto", 600.0, context)
     assert [check.passed for check in checks] == [True]
     assert context.results["solve"]["reason"] == "elasticity: not enough memory"
     assert "elasticity: not enough memory" in context.warnings[0]
@@ -327,7 +327,7 @@ def test_nothing_is_solved_on_inverted_tetrahedra() -> None:
     points, cells = block((3, 3, 3))
     cells[5] = cells[5][[0, 2, 1, 3]]
     context = quiet_context()
-    assert solve_on(mesh_of(points, cells), "auto", 600.0, context) == []
+    assert solve_on(mesh_of(points, cells), "auto", 600.0, context)[0] == []
     assert "inverted" in context.results["solve"]["reason"]
 
 
@@ -354,7 +354,7 @@ def test_without_the_extra_fem(
     monkeypatch.setitem(sys.modules, module, None)
     words = ["s.vtp", "-o", str(tmp_path / "v.vtu")]
     context = Context(words, build_parser().parse_args(words))
-    assert solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context) == []
+    assert solve_on(mesh_of(*block((1, 1, 1))), "auto", 600.0, context)[0] == []
     reason = f"{package}: not installed (python -m pip install scikit-fem pyamg)"
     assert capfd.readouterr().err == f"no problem is solved: {reason}\n"
     assert context.results["solve"] == {"done": False, "reason": reason}

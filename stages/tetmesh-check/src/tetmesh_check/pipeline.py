@@ -17,7 +17,7 @@ from tetmesh_check.export.mesh import MarkedMesh
 from tetmesh_check.export.profiles import renumbered
 from tetmesh_check.export.vtk import write_volume
 from tetmesh_check.fem.currents import Forward
-from tetmesh_check.fem.solve import solve_on
+from tetmesh_check.fem.solve import VolumeMesh, solve_on
 from tetmesh_check.fibres.arguments import find_boundaries
 from tetmesh_check.fields import read_distance_field, read_sizing_field, uniform_sizing_field
 from tetmesh_check.forced import find_forced
@@ -185,6 +185,19 @@ def _currents(task: Task, filled: Filled) -> Forward | None:
     return Forward(arguments, sides, task.surface.triangles, found, density)
 
 
+def _solve(task: Task, filled: Filled, mesh: VolumeMesh, marked: MarkedMesh, context: Context) -> list[Check]:
+    """Solve the test problems; add the potential of a source to the written mesh `marked`."""
+    arguments = task.arguments
+    currents = _currents(task, filled)
+    checks, potential = solve_on(mesh, arguments.solve, arguments.solve_seconds, context, currents)
+    # doubled nodes and prisms have no potential
+    if potential is not None and len(potential) == len(marked.points):
+        marked = replace(marked, point_fields=marked.point_fields | {"potential": potential})
+        with context.step("write the potential"):
+            write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
+    return checks
+
+
 def run(arguments: Arguments, context: Context) -> list[str]:
     """Do the work of the stage.
 
@@ -236,7 +249,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("write"):
         # the mesh remains if a later step fails
         write_volume(arguments.output, marked, filled.quality._asdict(), context.history())
-    many = surface.sides is not None
+    written, many = marked, surface.sides is not None
     with drawing(arguments, context, many):
         checks += _judge(task, filled, context)
         if field is not None:
@@ -246,7 +259,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         for kind in arguments.exports:
             with context.step(f"export {kind}"):
                 export(exported, arguments.output, arguments.name, kind, arguments.unit)
-        written = arguments.export_paths(many, [own.name for own in exported.named_sets])
-        context.results["exports"] = [path.name for path in written]
-        checks += solve_on(mesh, arguments.solve, arguments.solve_seconds, context, _currents(task, filled))
+        exports = arguments.export_paths(many, [own.name for own in exported.named_sets])
+        context.results["exports"] = [path.name for path in exports]
+        checks += _solve(task, filled, mesh, written, context)
     return conclude(checks, filled.quality, context)

@@ -139,6 +139,7 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
         relative to the maximum current that passes such a surface. ``interfaces`` has, for each
         interface, the net current from inside to outside, the sum of the currents in both
         directions, and ``jump_ua``: the difference between both sides, summed over the triangles.
+        ``potential`` is that of the points, mV, shape ``(n,)``.
     """
     arguments, regions, names = problem.arguments, problem.found.regions, problem.sides.names
     basis = linear_elements(mesh)
@@ -151,6 +152,7 @@ def forward(mesh: MeshTet, problem: Forward, deadline: float) -> dict[str, Any]:
     scale = max(entry["passing_ua"] for entry in listed)
     return {
         **figures,
+        "potential": potential,
         "source": arguments.source,
         "density_ua_per_mm2": list(arguments.density),
         "imbalance": max(abs(entry["net_ua"]) for entry in listed) / scale if scale > 0.0 else 0.0,

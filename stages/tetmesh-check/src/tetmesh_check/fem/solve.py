@@ -99,7 +99,7 @@ def _problems(mesh: VolumeMesh, currents: Forward | None, deadline: float) -> di
 
 def solve_on(
     mesh: VolumeMesh, mode: str, max_seconds: float, context: Context, currents: Forward | None = None
-) -> list[Check]:
+) -> tuple[list[Check], Values | None]:
     """Solve the problems of :mod:`.problems` on a mesh.
 
     Parameters
@@ -118,18 +118,20 @@ def solve_on(
 
     Returns
     -------
-    list of Check
-        The checks of the solved problems; empty if there are none.
+    tuple
+        The checks of the solved problems, and the potential of the currents at the points, mV, if
+        it was computed.
     """
     results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, mode)}
     context.results["solve"] = results
     if results["reason"] is not None:
-        context.verbose(f"no problem is solved: {results['reason']}")
-        return []
+        say = context.verbose if currents is None else context.warn
+        say(f"no problem is solved: {results['reason']}")
+        return [], None
     if missing := _missing():
         results["reason"] = f"{missing}: not installed ({_INSTALL})"
         context.info(f"no problem is solved: {results['reason']}")
-        return []
+        return [], None
     done: dict[str, dict[str, Any]] = {}
     unfinished: dict[str, str] = {}
     with context.step("solve"):
@@ -141,6 +143,7 @@ def solve_on(
                 unfinished[name] = f"not finished within {max_seconds:g} s (--solve-seconds)"
             except MemoryError:
                 unfinished[name] = "not enough memory"
+    potential = done.get("forward", {}).pop("potential", None)
     results.update(done=not unfinished, **done)
     if unfinished:
         reason = results["reason"] = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
@@ -156,4 +159,4 @@ def solve_on(
     checks = [check("solve_converged", len(stuck), told=told)] if runs else []
     if "forward" in done:
         checks.append(check("current_conserved", done["forward"]["imbalance"], MAX_IMBALANCE))
-    return checks
+    return checks, potential
