@@ -43,7 +43,7 @@ KEYS := NAME INPUT PHANTOM SERIES DATASET SPACING CROP DOWNSAMPLE ISO LABELS MAT
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # Other variables of this file.
 OTHERS := CASE CASES LIST TIME_LIMIT PORT BUILD PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD SDIST_TEST CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES PEER_CASES N KILL_SEED DOCS_VENV RECIPE
 # Goals for one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -99,7 +99,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index view build env snakemake-env wheel sdist release-check completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks recipes
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -158,6 +158,8 @@ Volumes in, simulation-ready meshes out.
                                                materials, as rows of docs/results/growth.json
   make results-page                            make docs/results.md and its pictures from these rows
   make notebooks                               run the notebooks in docs/notebooks, with results in OUT/notebooks
+  make recipes                                 run the recipes of docs/recipes and compare their figures (RECIPE=torso;
+                                               results in OUT/recipes)
   make bench-remeshers                         compare every packaged remesher with ours at several vertex counts
                                                (REMESHER_CASES=... REMESHER_VERTICES=...)
   make bench-materials-peers                   compare meshes of many materials with those of CGAL's Mesh_3, Cleaver and
@@ -372,7 +374,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py docs/conf.py tests stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py docs/conf.py docs/recipes tests stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
 	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/test_style.py tests/results
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
@@ -505,6 +507,13 @@ notebooks: build env $(NOTEBOOK_ENV)/.made
 	@cd $(call quote,$(OUT)/notebooks) && PYTHONPATH=$(abspath $(NOTEBOOK_ENV))$${PYTHONPATH:+:$$PYTHONPATH} \
 	  $(abspath $(VENV))/bin/python -c "from nbclient.cli import main; main()" *.ipynb --inplace --timeout 300
 	@ls $(call quote,$(OUT)/notebooks)/*.ipynb
+
+# Runs the code of the recipes in docs/recipes, or only of RECIPE, and compares the figures of the
+# pages.
+RECIPE ?=
+RECIPES = $(VENV)/bin/python docs/recipes/run.py --work $(call quote,$(OUT)/recipes)
+recipes: build env
+	@$(RECIPES) $(RECIPE)
 
 $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@rm -rf $(NOTEBOOK_ENV)

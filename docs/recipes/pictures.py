@@ -1,0 +1,151 @@
+"""The pictures of the recipes, drawn from the results of a run (run.py --pictures)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pyvista as pv
+from PIL import Image, ImageDraw, ImageFont
+
+from tetmesh_check.report.rendering import use_renderer
+
+INK = "#30363d"
+HEIGHT, STRIP = 480, 80
+"""Heights of a part of a picture and of the strip below it, pixels."""
+FONT = ImageFont.load_default(21)
+TISSUES = {
+    "fat": "#f0d6a4",
+    "muscle": "#c77f6d",
+    "bone": "#f7f3e6",
+    "lungs": "#9fc9e3",
+    "heart": "#d6322e",
+    "blood": "#7a0f2b",
+    "liver": "#8a5a3c",
+}
+
+
+class Part:
+    """A view of meshes with a caption: a colour bar, names with their colours, or words."""
+
+    def __init__(self, towards_eye: Sequence[float], up: Sequence[float] = (0, 0, 1), width: int = 500) -> None:
+        self.scene = pv.Plotter(off_screen=True, window_size=(width, HEIGHT))
+        self.scene.set_background("white")
+        self.scene.enable_anti_aliasing("ssaa")
+        self.view = towards_eye, up
+        self.points: list[Any] = []
+        self.strip = Image.new("RGB", (width, STRIP), "white")
+        self.pen = ImageDraw.Draw(self.strip)
+
+    def add(self, mesh: pv.DataSet, **options: Any) -> None:
+        """Add a mesh, without a colour bar."""
+        self.points.append(np.asarray(mesh.points))
+        self.scene.add_mesh(mesh, show_scalar_bar=False, **options)
+
+    def label(self, place: Any, text: str) -> None:
+        """Write words at a position."""
+        options = {"font_size": 24, "text_color": "black", "shape": None, "show_points": False, "always_visible": True}
+        self.scene.add_point_labels(np.atleast_2d(place), [f"  {text}"], **options)
+
+    def bar(self, title: str, colours: str, low: str, high: str) -> None:
+        """Draw a colour bar and its ends."""
+        width = self.strip.width
+        row = mpl.colormaps[colours](np.linspace(0, 1, width // 2))[None, :, :3]
+        box = Image.fromarray((255 * np.repeat(row, 20, axis=0)).astype(np.uint8))
+        self.strip.paste(box, (width // 4, 46))
+        self.words(title, y=22)
+        self.pen.text((width // 4 - 10, 56), low, INK, FONT, "rm")
+        self.pen.text((3 * width // 4 + 10, 56), high, INK, FONT, "lm")
+
+    def names(self, colours: dict[str, str], per_row: int = 4) -> None:
+        """Draw names with their colours."""
+        entries = list(colours.items())
+        for start in range(0, len(entries), per_row):
+            row = entries[start : start + per_row]
+            lengths = [FONT.getlength(name) + 62 for name, _ in row]
+            x, y = (self.strip.width - sum(lengths) + 20) / 2, 22 + 38 * (start // per_row)
+            for (name, colour), length in zip(row, lengths, strict=True):
+                self.pen.rectangle((x, y - 12, x + 24, y + 12), colour, INK)
+                self.pen.text((x + 34, y), name, INK, FONT, "lm")
+                x += length
+
+    def words(self, text: str, y: int = 42) -> None:
+        """Draw a line of text."""
+        self.pen.text((self.strip.width // 2, y), text, INK, FONT, "mm")
+
+    def draw(self) -> Image.Image:
+        """Return the view, as large as possible, above the caption."""
+        self.scene.enable_parallel_projection()
+        self.scene.view_vector(*self.view)
+        camera, points = self.scene.camera, np.concatenate(self.points)
+        right = np.cross(camera.up, np.subtract(camera.position, camera.focal_point))
+        across, upward = (points @ (axis / np.linalg.norm(axis)) for axis in (right, camera.up))
+        shift = [0.5 * (values.min() + values.max()) for values in (across, upward)]
+        centre = shift[0] * right / np.linalg.norm(right) + shift[1] * np.array(camera.up)
+        camera.position = centre + np.subtract(camera.position, camera.focal_point)
+        camera.focal_point = centre
+        camera.parallel_scale = 0.53 * max(np.ptp(upward), np.ptp(across) * HEIGHT / self.strip.width)
+        self.scene.reset_camera_clipping_range()
+        made = Image.new("RGB", (self.strip.width, HEIGHT + STRIP), "white")
+        made.paste(Image.fromarray(self.scene.screenshot(None, return_img=True)), (0, 0))
+        made.paste(self.strip, (0, HEIGHT))
+        self.scene.close()
+        return made
+
+
+def behind(grid: pv.UnstructuredGrid, normal: Sequence[float], origin: Sequence[float]) -> pv.PolyData:
+    """Return the boundary of the part behind a plane, with the data of the elements."""
+    clipped = grid.clip(normal=normal, origin=origin)
+    return clipped.extract_surface(algorithm="dataset_surface")
+
+
+def add_materials(part: Part, mesh: pv.PolyData, colours: dict[str, str]) -> None:
+    """Add the elements of each material in its colour. Regions are numbered in this order."""
+    rgb = np.array([[0, 0, 0], *(mpl.colors.to_rgb(colour) for colour in colours.values())])
+    mesh.cell_data["rgb"] = (255 * rgb[mesh.cell_data["region"]]).astype(np.uint8)
+    part.add(
+        mesh, scalars="rgb", rgb=True, show_edges=True, edge_color=INK, edge_opacity=0.4, line_width=0.5, ambient=0.4
+    )
+
+
+def torso(folder: Path) -> list[Part]:
+    """Draw the potential on the skin, with the electrodes, and the tissues in a cut."""
+    grid = pv.read(folder / "out" / "torso" / "torso.volume.vtu")
+    skin = grid.extract_surface(algorithm="dataset_surface")
+    eye, limits = (0.35, -1, 0.12), (-1.8, 1.8)
+    left, right = Part(eye), Part(eye)
+    left.add(skin, scalars="potential", cmap="RdBu_r", clim=limits, n_colors=13, ambient=0.4)
+    for name, place in {"V1": (-20, -106, 0), "V2": (20, -106, 0), "V4": (75, -97, -25), "V6": (140, -50, -30)}.items():
+        vertex = np.asarray(skin.points[skin.find_closest_point(place)], float)
+        left.add(pv.Sphere(radius=6, center=vertex), color="black")
+        left.label(vertex, name)
+    left.bar("potential on the skin, mV", "RdBu_r", "-1.8", "1.8")
+    add_materials(right, behind(grid, (0, -1, 0), (0, -14, 0)), TISSUES)
+    right.names(TISSUES)
+    return [left, right]
+
+
+PICTURES: dict[str, Callable[[Path], list[Part]]] = {"torso": torso}
+
+
+def draw(name: str, folder: Path, target: Path) -> None:
+    """Draw the parts of a picture beside each other, with few enough colours for 150 kB."""
+    use_renderer()
+    parts = [part.draw() for part in PICTURES[name](folder)]
+    picture = Image.new("RGB", (sum(part.width for part in parts), parts[0].height), "white")
+    x = 0
+    for part in parts:
+        picture.paste(part, (x, 0))
+        x += part.width
+    target.parent.mkdir(exist_ok=True)
+    for colours in (256, 128, 64, 32, 16):
+        data = io.BytesIO()
+        picture.quantize(colours, dither=Image.Dither.NONE).save(data, "png", optimize=True)
+        if len(data.getvalue()) <= 150_000:
+            break
+    target.write_bytes(data.getvalue())
+    print(f"  {target.name}: {len(data.getvalue()) / 1000:.0f} kB, {colours} colours")
