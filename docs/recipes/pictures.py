@@ -129,7 +129,33 @@ def torso(folder: Path) -> list[Part]:
     return [left, right]
 
 
-PICTURES: dict[str, Callable[[Path], list[Part]]] = {"torso": torso}
+def heart(folder: Path) -> list[Part]:
+    """Draw the fibres on both ventricles, and those behind a cut, coloured by helix angle."""
+    grid = pv.read(folder / "out" / "heart" / "heart.volume.vtu")
+    wall = grid.extract_cells(grid["region"] == 2)
+    eye = (0.1, -1, 0.25)
+    left, right = Part(eye), Part(eye)
+    for part, shown, share in (
+        (left, wall.extract_surface(algorithm="dataset_surface"), 0.35),
+        (right, behind(wall, (0, -1, 0), (0, 0, 0)), 0.25),
+    ):
+        shown = shown.triangulate().compute_normals(point_normals=False, split_vertices=False)
+        centres, fibres = np.array(shown.cell_centers().points), np.array(shown["fibre"])
+        # fibres have no sense; the one to the left of the outward direction makes the angle unique
+        fibres *= np.sign(centres[:, 0] * fibres[:, 1] - centres[:, 1] * fibres[:, 0])[:, None]
+        random = np.random.default_rng(1).random(len(centres))
+        chosen = (random < share * shown.compute_cell_sizes()["Area"]) & (np.abs(shown["Normals"][:, 2]) < 0.9)
+        rods = pv.PolyData((centres + 0.4 * shown["Normals"])[chosen])
+        rods["fibre"], rods["angle"] = fibres[chosen], np.degrees(np.arcsin(fibres[chosen, 2]))
+        rod = pv.Cylinder(radius=0.35, height=4.5, resolution=6)
+        part.add(shown, color="#f3ece4", ambient=0.3)
+        rods = rods.glyph(orient="fibre", scale=False, geom=rod)
+        part.add(rods, scalars="angle", cmap="coolwarm", clim=(-60, 60), ambient=0.3)
+        part.bar("helix angle, degrees", "coolwarm", "-60", "60")
+    return [left, right]
+
+
+PICTURES: dict[str, Callable[[Path], list[Part]]] = {picture.__name__: picture for picture in (torso, heart)}
 
 
 def draw(name: str, folder: Path, target: Path) -> None:
