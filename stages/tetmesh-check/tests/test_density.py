@@ -329,6 +329,16 @@ def test_one_of_several_materials_gets_the_density(tmp_path: Path, run: Run) -> 
         assert "what to do" in refused.stderr
 
 
+@NEEDS_HXT
+def test_the_only_material_gets_the_density(tmp_path: Path, run: Run) -> None:
+    nested_balls((10.0,), (3,), ("object",)).save(tmp_path / "s.vtp")
+    write_nrrd(tmp_path / "ct.nrrd", np.full((24, 24, 24), 0.6, np.float32), **placed("LPS", np.eye(3), [-11.5] * 3))
+    words = ["s.vtp", "-o", "v.vtu", "--solve", "no", "-q", "--density", "ct.nrrd", "--calibrate", "1,0"]
+    done = run(*words, "--law", "6850,1.49")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose(pv.read(tmp_path / "v.vtu").cell_data["density"], 0.6, rtol=1e-6)
+
+
 # --- errors ---------------------------------------------------------------------------------------
 
 DENSITY, CALIBRATE, LAW = ["--density", "ct.nrrd"], ["--calibrate", "0.001,0.1"], ["--law", "keller"]

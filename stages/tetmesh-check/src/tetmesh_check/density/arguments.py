@@ -76,7 +76,7 @@ def check_material(arguments: DensityArguments | None, names: Sequence[str]) -> 
     names
         The names of the materials; empty for one object.
     """
-    if arguments is None or arguments.material in names or (arguments.material is None and not names):
+    if arguments is None or arguments.material in names or (arguments.material is None and len(names) < 2):
         return
     chosen = "without --density-of" if arguments.material is None else f"--density-of {arguments.material}"
     raise StageError(
