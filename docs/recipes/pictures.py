@@ -27,6 +27,8 @@ TISSUES = {
     "blood": "#7a0f2b",
     "liver": "#8a5a3c",
 }
+HEAD = ("#f4efe6", "#b98f8f", "#7fb6d6", "#e6d9a8", "#e0b59a", "#4a6fa5")
+"""Colours of the tissues of the head."""
 
 
 class Part:
@@ -155,7 +157,53 @@ def heart(folder: Path) -> list[Part]:
     return [left, right]
 
 
-PICTURES: dict[str, Callable[[Path], list[Part]]] = {picture.__name__: picture for picture in (torso, heart)}
+def stress_of(path: Path, count: int) -> Any:
+    """Return the von Mises stress at the nodes, from the results of CalculiX."""
+    found, inside = np.full(count, np.nan), False
+    for line in path.read_text(encoding="utf-8").splitlines():
+        inside = line.startswith(" -4  STRESS") or (inside and not line.startswith(" -3"))
+        if inside and line.startswith(" -1"):
+            xx, yy, zz, xy, yz, zx = (float(line[13 + 12 * k : 25 + 12 * k]) for k in range(6))
+            squares = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6.0 * (xy**2 + yz**2 + zx**2)
+            found[int(line[3:13]) - 1] = np.sqrt(0.5 * squares)
+    return found
+
+
+def femur(folder: Path) -> list[Part]:
+    """Draw the density and the stress in a cut along the neck."""
+    grid = pv.read(folder / "out" / "femur" / "femur.volume.vtu")
+    grid.point_data["stress"] = stress_of(folder / "load.frd", grid.n_points)
+    cut = behind(grid, (0, -1, 0), (0, 3, 0))
+    eye = (0.25, -1, 0.15)
+    left, right = Part(eye, width=380), Part(eye, width=380)
+    edges = {"show_edges": True, "edge_color": INK, "edge_opacity": 0.4, "line_width": 0.5, "ambient": 0.4}
+    left.add(cut, scalars="density", cmap="bone", clim=(0, 1.3), **edges)
+    left.bar("density, g/cm³", "bone", "0", "1.3")
+    right.add(cut, scalars="stress", cmap="turbo", clim=(0, 25), n_colors=16, ambient=0.4)
+    right.scene.add_mesh(pv.Arrow(start=(0, 0, 46), direction=(0, 0, -1), scale=20), color=INK)
+    right.points.append(np.array([[0, 0, 46]]))
+    left.points.append(np.array([[0, 0, 46]]))
+    right.bar("von Mises stress, N/mm²", "turbo", "0", "25")
+    return [left, right]
+
+
+def head(folder: Path) -> list[Part]:
+    """Draw all tissues in a cut, and the cortex in the head."""
+    grid = pv.read(folder / "out" / "head" / "head.volume.vtu")
+    colours = dict(zip(("white", "gray", "csf", "bone", "scalp", "eye"), HEAD, strict=True))
+    left, right = Part((1, 0.35, 0.15)), Part((0.7, 1, 0.3))
+    add_materials(left, behind(grid, (1, 0, 0), (26, 0, 0)), colours)
+    left.names(colours, 3)
+    brain = grid.extract_cells(np.isin(grid["region"], (1, 2))).extract_surface(algorithm="dataset_surface")
+    right.add(brain, color="#cfa0a0", ambient=0.35, show_edges=True, edge_color=INK, edge_opacity=0.3, line_width=0.5)
+    right.add(grid.extract_surface(algorithm="dataset_surface"), color=colours["scalp"], opacity=0.18)
+    right.words("grey matter in the head")
+    return [left, right]
+
+
+PICTURES: dict[str, Callable[[Path], list[Part]]] = {
+    picture.__name__: picture for picture in (torso, heart, femur, head)
+}
 
 
 def draw(name: str, folder: Path, target: Path) -> None:

@@ -169,7 +169,7 @@ def femur(small: bool) -> None:
 
     The origin is the centre of the femoral head. The lower border cuts the shaft.
     """
-    grid = Grid(1.5, (-33, -36, -70 if small else -150), (78, 40, 33))
+    grid = Grid(1.5, (-33, -36, -40 if small else -150), (78, 40, 33))
     axes = x, y, z = grid.axes()
     bone = join(ball(axes, (0, 0, 0), (23, 23, 23)), rod(axes, (0, 0, 0), (36, 3, -32), (14, 17)), 8.0)
     shaft = rod(axes, (40, 4, -34), (38, 2, -220), (17, 13))
