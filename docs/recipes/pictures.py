@@ -201,8 +201,35 @@ def head(folder: Path) -> list[Part]:
     return [left, right]
 
 
+def aneurysm(folder: Path) -> list[Part]:
+    """Draw the wall and the caps, and the elements behind a cut."""
+    grid = pv.read(folder / "out" / "aneurysm" / "aneurysm.volume.vtu")
+    left, right = Part((0.35, -1, -0.45)), Part((0.12, -1, 0.1))
+    skin = grid.extract_surface(algorithm="dataset_surface").compute_normals(point_normals=False, split_vertices=False)
+    flat = [
+        (np.array([0.0, 0, -1]), "inlet"),
+        (np.array([0.949, 0, 0.316]), "left"),
+        (np.array([-0.949, 0, 0.316]), "right"),
+    ]
+    edges = {"show_edges": True, "edge_color": INK, "line_width": 0.5, "ambient": 0.35}
+    centres, caps = skin.cell_centers().points, np.zeros(skin.n_cells, bool)
+    for (normal, name), place in zip(flat, ((0, 0, -12), (9, 0, 3), (-9, 0, 3)), strict=True):
+        cap = np.abs((centres - place) @ normal) < 1e-2
+        caps |= cap & (np.linalg.norm(centres - place, axis=1) < 3)
+        left.label(np.add(place, (1.6, 0, -0.6) if name == "inlet" else (-0.6, 0, 2.0)), name)
+    left.add(skin.extract_cells(~caps), color="#d98a7e", edge_opacity=0.35, **edges)
+    left.add(skin.extract_cells(caps), color="#5b9be8", edge_opacity=0.3, **edges)
+    left.words("wall and named caps")
+    kept = grid.extract_cells((grid.cell_centers().points[:, 1] > 0) & (grid.cell_centers().points[:, 2] > -1.5))
+    kept = kept.extract_cells(np.abs(kept.cell_centers().points[:, 0]) < 5.5)
+    for kind, colour in ((pv.CellType.TETRA, "#d5e3f0"), (pv.CellType.WEDGE, "#e6a04b")):
+        right.add(kept.extract_cells(kept.celltypes == kind), color=colour, edge_opacity=0.7, **edges)
+    right.names({"tetrahedra": "#d5e3f0", "prisms": "#e6a04b"})
+    return [left, right]
+
+
 PICTURES: dict[str, Callable[[Path], list[Part]]] = {
-    picture.__name__: picture for picture in (torso, heart, femur, head)
+    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm)
 }
 
 

@@ -39,6 +39,9 @@ REPORTED = {
     "minimum angle of the triangles, degrees": ("reports/reconstruct.json", "results check quality angle_min"),
     "tetrahedra": ("*.report.json", "results volume tetrahedra"),
     "mass, g": ("*.report.json", "results density mass_g"),
+    "minimum scaled Jacobian of the prisms": ("*.report.json", "results layers walls 0 scaled_jacobian min"),
+    "area of the inlet, mm^2": ("*.report.json", "results boundary parts 1 area_mm2"),
+    "mean height of the first layer, mm": ("*.report.json", "results layers walls 0 first_height_mm mean"),
     "minimum dihedral angle, degrees": ("*.report.json", "results volume quality min_dihedral min"),
 }
 """File and keys of a figure, by its name."""
@@ -106,7 +109,7 @@ def figures(folder: Path, printed: str) -> dict[str, float]:
         for path in folder.glob(f"out/*/{pattern}"):
             value: Any = json.loads(path.read_text(encoding="utf-8"))
             for key in keys.split():
-                value = (value or {}).get(key)
+                value = value[int(key)] if isinstance(value, list) else (value or {}).get(key)
             if value is not None:
                 found[name] = float(value)
     return found | {name: float(value) for name, value in PRINTED.findall(printed)}
