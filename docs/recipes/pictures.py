@@ -178,12 +178,12 @@ def femur(folder: Path) -> list[Part]:
     left, right = Part(eye, width=380), Part(eye, width=380)
     edges = {"show_edges": True, "edge_color": INK, "edge_opacity": 0.4, "line_width": 0.5, "ambient": 0.4}
     left.add(cut, scalars="density", cmap="bone", clim=(0, 1.3), **edges)
-    left.bar("density, g/cm³", "bone", "0", "1.3")
+    left.bar("density, g/cm^3", "bone", "0", "1.3")
     right.add(cut, scalars="stress", cmap="turbo", clim=(0, 25), n_colors=16, ambient=0.4)
     right.scene.add_mesh(pv.Arrow(start=(0, 0, 46), direction=(0, 0, -1), scale=20), color=INK)
     right.points.append(np.array([[0, 0, 46]]))
     left.points.append(np.array([[0, 0, 46]]))
-    right.bar("von Mises stress, N/mm²", "turbo", "0", "25")
+    right.bar("von Mises stress, N/mm^2", "turbo", "0", "25")
     return [left, right]
 
 
@@ -228,8 +228,22 @@ def aneurysm(folder: Path) -> list[Part]:
     return [left, right]
 
 
+def trabecular(folder: Path) -> list[Part]:
+    """Draw the mesh and the stress in it."""
+    grid = pv.read(folder / "out" / "trabecular" / "trabecular.volume.vtu")
+    grid.point_data["stress"] = stress_of(folder / "press.frd", grid.n_points)
+    eye = (0.75, -1, 0.5)
+    left, right = Part(eye), Part(eye)
+    skin = grid.extract_surface(algorithm="dataset_surface")
+    left.add(skin, color="#eadfca", show_edges=True, edge_color=INK, edge_opacity=0.25, line_width=0.5)
+    left.words("surface of the tetrahedra")
+    right.add(skin, scalars="stress", cmap="turbo", clim=(0, 80), n_colors=12, ambient=0.3)
+    right.bar("von Mises stress, N/mm^2", "turbo", "0", "80")
+    return [left, right]
+
+
 PICTURES: dict[str, Callable[[Path], list[Part]]] = {
-    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm)
+    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm, trabecular)
 }
 
 
@@ -245,7 +259,7 @@ def draw(name: str, folder: Path, target: Path) -> None:
     target.parent.mkdir(exist_ok=True)
     for colours in (256, 128, 64, 32, 16):
         data = io.BytesIO()
-        picture.quantize(colours, dither=Image.Dither.NONE).save(data, "png", optimize=True)
+        picture.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(data, "png", optimize=True)
         if len(data.getvalue()) <= 150_000:
             break
     target.write_bytes(data.getvalue())

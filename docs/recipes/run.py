@@ -38,6 +38,7 @@ REPORTED = {
     "surface vertices": ("reports/reconstruct.json", "results check vertices"),
     "minimum angle of the triangles, degrees": ("reports/reconstruct.json", "results check quality angle_min"),
     "tetrahedra": ("*.report.json", "results volume tetrahedra"),
+    "volume, mm^3": ("*.report.json", "results volume volume_mm3"),
     "mass, g": ("*.report.json", "results density mass_g"),
     "minimum scaled Jacobian of the prisms": ("*.report.json", "results layers walls 0 scaled_jacobian min"),
     "area of the inlet, mm^2": ("*.report.json", "results boundary parts 1 area_mm2"),

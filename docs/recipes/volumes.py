@@ -227,8 +227,8 @@ def aneurysm(_: bool) -> None:
 
 def trabecular(small: bool) -> None:
     """Write the folder trabecular of TIFF slices: a cube of spongy bone, grey values 0 to 255."""
-    side = 1.2 if small else 3.0
-    grid = Grid(0.025, (0, 0, 0), (side, side, side))
+    side = 1.2 if small else 3.0  # of the square section
+    grid = Grid(0.025, (0, 0, 0), (side, side, 3.0))
     field = waves(grid.axes(), 0.85, 60, 5)
     noise = np.random.default_rng(1).normal(0.0, 6.0, field.shape)
     grey = 110.0 + 70.0 * np.tanh(4.0 * (field - 0.62)) + noise
