@@ -99,7 +99,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ----------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index view build env snakemake-env wheel sdist release-check completions doctor test format lint documentation docs test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks recipes
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers formats bench-paper bench-growth results-page notebooks recipes gallery
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -160,6 +160,7 @@ Volumes in, simulation-ready meshes out.
   make notebooks                               run the notebooks in docs/notebooks, with results in OUT/notebooks
   make recipes                                 run the recipes of docs/recipes and compare their figures (RECIPE=torso;
                                                results in OUT/recipes)
+  make gallery                                 draw all pictures of docs/recipes, with triangles of other programs
   make bench-remeshers                         compare every packaged remesher with ours at several vertex counts
                                                (REMESHER_CASES=... REMESHER_VERTICES=...)
   make bench-materials-peers                   compare meshes of many materials with those of CGAL's Mesh_3, Cleaver and
@@ -514,6 +515,16 @@ RECIPE ?=
 RECIPES = $(VENV)/bin/python docs/recipes/run.py --work $(call quote,$(OUT)/recipes)
 recipes: build env
 	@$(RECIPES) $(RECIPE)
+
+# Draws all pictures of docs/recipes: those of the recipes, and triangles of other programs. All
+# programs mesh the femur of its recipe, with about as many vertices as its voxels give marching
+# cubes.
+gallery: build env $(BENCH_VENV)-scale/.made
+	@$(RECIPES) --pictures
+	@rm -rf $(call quote,$(OUT)/recipes/peers)
+	@$(VENV)/bin/python $(SCALE_BENCH)/scale.py 'femur=$(OUT)/recipes/femur/femur-label.nrrd;--labels 1' --vertices 15000 --no-distances \
+	  --bin $(BIN) --work $(call quote,$(OUT)/recipes/peers) --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets cgal
+	@$(VENV)/bin/python docs/recipes/pictures.py peers $(call quote,$(OUT)/recipes/peers)
 
 $(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
 	@rm -rf $(NOTEBOOK_ENV)

@@ -1,8 +1,12 @@
-"""The pictures of the recipes, drawn from the results of a run (run.py --pictures)."""
+"""The pictures of the recipes, drawn from the results of a run (run.py --pictures).
+
+pictures.py peers FOLDER    draws those of scale.py, with its --work FOLDER
+"""
 
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +16,7 @@ import numpy as np
 import pyvista as pv
 from PIL import Image, ImageDraw, ImageFont
 
+from tetmesh_check.quality import triangle_quality
 from tetmesh_check.report.rendering import use_renderer
 
 INK = "#30363d"
@@ -242,8 +247,33 @@ def trabecular(folder: Path) -> list[Part]:
     return [left, right]
 
 
+def peers(folder: Path) -> list[Part]:
+    """Draw the triangles of four programs near the head of the femur, coloured by radius ratio."""
+    programs = {
+        "marching-cubes": "marching cubes",
+        "surface-nets": "surface nets",
+        "cgal": "CGAL",
+        "surface": "isoparticles",
+    }
+    made = []
+    for kind, name in programs.items():
+        (path,) = folder.glob(f"femur.*.{kind}.vtp")
+        surface = pv.read(path)
+        quality = triangle_quality(np.asarray(surface.points, float), surface.regular_faces)
+        surface.cell_data["ratio"] = quality.radius_ratio
+        x, y, z = surface.cell_centers().points.T
+        part = Part((0.25, -1, 0.3), width=330)
+        near = surface.extract_cells((np.abs(x + 4) < 12) & (y < 0) & (np.abs(z) < 17))
+        edges = {"show_edges": True, "edge_color": INK, "line_width": 0.5, "ambient": 0.4}
+        part.add(near, scalars="ratio", cmap="viridis", clim=(0.3, 1), n_colors=14, **edges)
+        part.words(f"{name}, {surface.n_points:,} vertices", y=20)
+        part.words(f"ratio {quality.radius_ratio.mean():.2f}, minimum {quality.radius_ratio.min():.2f}", y=52)
+        made.append(part)
+    return made
+
+
 PICTURES: dict[str, Callable[[Path], list[Part]]] = {
-    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm, trabecular)
+    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm, trabecular, peers)
 }
 
 
@@ -264,3 +294,7 @@ def draw(name: str, folder: Path, target: Path) -> None:
             break
     target.write_bytes(data.getvalue())
     print(f"  {target.name}: {len(data.getvalue()) / 1000:.0f} kB, {colours} colours")
+
+
+if __name__ == "__main__":
+    draw(sys.argv[1], Path(sys.argv[2]), Path(__file__).parent / "images" / f"{sys.argv[1]}.png")

@@ -238,53 +238,8 @@ def trabecular(small: bool) -> None:
         Image.fromarray(section.T).save(folder / f"slice{number:03}.tif")
 
 
-def tooth(small: bool) -> None:
-    """Write tooth.nrrd, a scan of a molar: pulp 150, dentine 1700, enamel 2800, else 0."""
-    grid = Grid(0.2, (-7, -7, -8 if small else -15.2), (7.1, 7.1, 6.2))
-    axes = _, _, z = grid.axes()
-    crown = ball(axes, (0, 0, 0), (5.4, 4.9, 4.0), 2.8)
-    pulp = ball(axes, (0, 0, -0.8), (2.3, 1.9, 1.5), 2.5)
-    for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        crown = join(crown, ball(axes, (2.7 * a, 2.4 * b, 3.0), (1.9, 1.8, 2.1)), 1.0)
-    core = crown + 1.5 + 0.16 * (z + 3.0)
-    for tip in ((-3.2, -2.2, -14), (-3.0, 2.4, -13), (3.0, 0, -14.4)):
-        foot = (0.75 * tip[0], 0.75 * tip[1], -3.0)
-        crown, core = (join(shape, rod(axes, foot, tip, (2.2, 0.9)), 1.5) for shape in (crown, core))
-        pulp = join(
-            pulp, rod(axes, (0.4 * tip[0], 0.4 * tip[1], -1.4), (0.93 * tip[0], 0.93 * tip[1], -12.6), (0.6, 0.3)), 0.8
-        )
-    scan = np.where(crown < 0, np.where((core < 0) | (z < -3.2), 1700.0, 2800.0), 0.0)
-    scan = np.where(pulp < 0, 150.0, scan)
-    noise = np.random.default_rng(1).normal(0.0, 25.0, scan.shape)
-    grid.write(Path("tooth.nrrd"), (blurred(scan, 2) + noise).round().astype(np.int16))
-
-
-def atlas(small: bool) -> None:
-    """Write atlas.nrrd: a hundred labels, 50 in each half of a brain-like shape."""
-    grid = Grid(2.0, (-72, -92, -6 if small else -66), (73, 93, 12 if small else 67))
-    axes = x, y, z = grid.axes()
-    brain = join(ball(axes, (0, 0, 6), (66, 86, 58)), ball(axes, (0, 46, -34), (44, 34, 26)), 12.0)
-    bent = [axis + 3.0 * waves(axes, 40.0, 20, seed) for axis, seed in zip((np.abs(x), y, z), (1, 2, 3), strict=True)]
-    random = np.random.default_rng(7)
-    seeds: list[Values] = []
-    while len(seeds) < 50:
-        place = random.uniform((6, -82, -56), (62, 82, 62))
-        if ball(list(place), (0, 0, 6), (66, 86, 58)) < -6 and all(
-            np.linalg.norm(place - other) > 19 for other in seeds
-        ):
-            seeds.append(place)
-    nearest, labels = np.full(brain.shape, np.inf), np.zeros(brain.shape, np.uint8)
-    for number, place in enumerate(seeds, start=1):
-        away = sum((axis - coordinate) ** 2 for axis, coordinate in zip(bent, place, strict=True))
-        labels[away < nearest] = number
-        nearest = np.minimum(nearest, away)
-    labels += np.uint8(50) * (x > 0)
-    labels[brain > 0] = 0
-    grid.write(Path("atlas.nrrd"), labels)
-
-
 RECIPES: dict[str, Callable[[bool], None]] = {
-    recipe.__name__: recipe for recipe in (torso, heart, femur, head, aneurysm, trabecular, tooth, atlas)
+    recipe.__name__: recipe for recipe in (torso, heart, femur, head, aneurysm, trabecular)
 }
 
 
