@@ -73,5 +73,5 @@ fn surfaces_without_materials_are_refused() {
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &scene.table() };
     let made = update(&before, &subject, &sizing, &Options::default(), &Silent);
-    assert!(made.err().expect("refused").what.contains("have no materials"));
+    assert!(made.expect_err("refused").what.contains("have no materials"));
 }
