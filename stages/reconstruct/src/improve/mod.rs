@@ -53,8 +53,8 @@ use serde::Serialize;
 use std::ops::AddAssign;
 use surface::Surface;
 
-/// Options of [`improve`]. The defaults are for a mesh of settled particles: three sweeps over the
-/// whole mesh, the first with the removal of vertices, and then the optimiser for triangles of
+/// Options of an improvement. The defaults are for a mesh of settled particles: three sweeps over
+/// the whole mesh, the first with the removal of vertices, and then the optimiser for triangles of
 /// quality below 0.9.
 #[derive(Clone, Copy, Debug)]
 pub struct ImproveOptions<'a> {
