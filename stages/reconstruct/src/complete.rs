@@ -26,7 +26,7 @@ pub struct Reconstruction {
     pub sizes: Vec<f64>,
     /// How the particles were joined; `None` for an updated surface.
     pub joining: Option<Joining>,
-    /// World positions of the vertices that an update has kept, by vertex.
+    /// Vertices that an update has kept, with their world positions.
     pub kept: Vec<(u32, DVec3)>,
     /// Report of the improvement.
     pub improved: ImproveReport,
@@ -50,7 +50,7 @@ pub struct Joining {
     pub refined: RefineReport,
     /// Report of Tight Cocone, if it is the method.
     pub cocone: Option<CoconeReport>,
-    /// Warnings that do not fail a check, in words.
+    /// Warnings of these steps, in words.
     pub doubtful: Vec<String>,
 }
 
@@ -63,8 +63,8 @@ pub(crate) struct Completion<'a> {
     pub(crate) monitor: &'a dyn Monitor,
 }
 
-/// Returns h (mm) at a position: that of `sizing` or, without it, that of the nearest of some
-/// points.
+/// Returns h (mm) as a function of position: that of `sizing` or, without it, that of the nearest
+/// of some points.
 pub(crate) fn size_at<'a>(
     sizing: Option<&'a SizingField>,
     points: &[DVec3],
@@ -80,12 +80,13 @@ pub(crate) fn size_at<'a>(
 impl Completion<'_> {
     /// Improves the triangles of interfaces in the grid frame. Vertices on curves stay on them;
     /// junction points and vertices on merged curves are fixed. `dimensions` contains the dimension
-    /// of the stratum of each vertex. If `around` is given, the mesh changes only near these
-    /// vertices, and with `adjusts`, the lengths of the edges there are adjusted to h. Also returns
-    /// the index of each vertex in the improved mesh (`u32::MAX` if it was removed).
+    /// of the stratum of each vertex; it is not used for a single interface. If `around` is given,
+    /// the mesh changes only near these vertices. With `adjusts`, the lengths of the edges there
+    /// are adjusted to h, and the segments are then out of date. Also returns the index of each
+    /// vertex in the improved mesh (`u32::MAX` if it was removed).
     ///
     /// # Errors
-    /// If the run is interrupted.
+    /// Those of [`improve`].
     pub(crate) fn improve(
         &self,
         interfaces: &mut Interfaces,
@@ -97,10 +98,9 @@ impl Completion<'_> {
         let how = ImproveOptions {
             target: options.improve_below,
             relaxation_sweeps: options.relaxation_sweeps,
-            // An explicit deviation bound disables thinning. Removing vertices between several
-            // interfaces would change volumes: by 7 % for the nested balls of the tests at the
-            // coarse size, which is more than the test allows.
-            thins: options.max_deviation.is_none() && interfaces.is_of_object(),
+            // An explicit deviation bound disables thinning. With several interfaces, thinning
+            // would change volumes: by 7 % for the nested balls of the tests at the coarse size.
+            thins: options.max_deviation.is_none() && interfaces.has_single_interface(),
             around,
             adjusts,
         };
@@ -119,8 +119,8 @@ impl Completion<'_> {
         Ok((report, numbers))
     }
 
-    /// Checks a mesh and compares its topology with that of the field. `joining` tells how the
-    /// particles were joined, and `kept` which vertices an update has kept.
+    /// Checks a mesh and compares its topology with that of the field. `joining` and
+    /// `kept` become part of the result.
     ///
     /// # Errors
     /// If the run is interrupted.
@@ -155,11 +155,12 @@ impl Completion<'_> {
     }
 }
 
-/// Returns how each vertex may move, given the dimension of its stratum. A vertex of two materials
-/// moves on its interface. A vertex on a curve of three materials moves along it if it has exactly
-/// two segments of this curve and is not joined to another stratum. All other vertices are fixed.
+/// Returns how each vertex may move, given the dimension of its stratum. A vertex of dimension 2
+/// moves on its interface if each of its edges has two triangles. A vertex on a curve of three
+/// materials moves along it if it has exactly two segments of this curve and is not joined to
+/// another stratum. All other vertices are fixed.
 fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
-    if interfaces.is_of_object() {
+    if interfaces.has_single_interface() {
         return vec![Freedom::Interface; interfaces.mesh.vertices.len()];
     }
     let meets = interfaces.materials_at_vertices();
@@ -187,8 +188,8 @@ fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
     (0..meets.len()).map(freedom).collect()
 }
 
-/// Returns the segments, ascending, after vertices of curves are removed. The two segments at a
-/// removed vertex are replaced by one between its neighbours.
+/// Returns the segments, ascending, after vertices of curves are removed. Two segments at a
+/// removed vertex become one between its neighbours; other numbers of segments are dropped.
 fn bridged(segments: Vec<(Segment, Stratum)>, is_gone: impl Fn(u32) -> bool) -> Vec<(Segment, Stratum)> {
     let (open, mut kept): (Vec<_>, Vec<_>) =
         segments.into_iter().partition(|(pair, _)| pair.iter().any(|&v| is_gone(v)));
@@ -227,7 +228,7 @@ mod tests {
         let [curve, other] = [[0, 1, 2], [0, 1, 3]].map(|ids| Stratum::new(&ids.map(MaterialId)).expect("three"));
         let segments = vec![([0, 4], curve), ([1, 2], other), ([2, 5], curve), ([3, 5], curve), ([4, 5], curve)];
         let left = bridged(segments.clone(), |v| v == 4 || v == 5);
-        assert_eq!(left, [([1, 2], other)], "three meet in 5, which cannot go");
+        assert_eq!(left, [([1, 2], other)], "the three segments at 5 are dropped");
         let chain: Vec<_> = segments.into_iter().filter(|(pair, _)| *pair != [3, 5]).collect();
         assert_eq!(bridged(chain.clone(), |v| v == 4 || v == 5), [([0, 2], curve), ([1, 2], other)]);
         assert_eq!(bridged(chain.clone(), |_| false), chain);

@@ -67,7 +67,7 @@ impl Interfaces {
     }
 
     /// Returns whether the mesh has a single interface, so no junction curves.
-    pub fn is_of_object(&self) -> bool {
+    pub fn has_single_interface(&self) -> bool {
         self.between.windows(2).all(|two| two[0] == two[1])
     }
 
@@ -105,7 +105,7 @@ impl Interfaces {
     /// Returns the edges between different interfaces, ascending, each with the materials of its
     /// triangles (the first four if there are more).
     pub fn edges_of_curves(&self) -> Vec<(Segment, Stratum)> {
-        if self.is_of_object() {
+        if self.has_single_interface() {
             return Vec::new();
         }
         let curve = |own: &[(Segment, u32)]| {
@@ -159,7 +159,7 @@ impl Interfaces {
     /// Returns the dimension of the stratum at each vertex: 2 on interfaces, 1 on curves of three
     /// materials, and 0 at points of more.
     pub fn dimensions(&self) -> Vec<usize> {
-        if self.is_of_object() {
+        if self.has_single_interface() {
             return vec![2; self.mesh.vertices.len()];
         }
         self.materials_at_vertices().iter().map(|ids| 4usize.saturating_sub(ids.len())).collect()

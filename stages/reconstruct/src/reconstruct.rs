@@ -10,10 +10,10 @@
 //!    criteria cover components, Euler characteristics, critical points of F and voxel centres.
 //! 6. A priority queue orders the violations by kind, and each is repaired by a new point on F = 0,
 //!    usually the centre of a surface Delaunay ball.
-//! 7. Where points do not help, tetrahedra change sides. The refinement ends when there are no
+//! 7. Where points do not help, tetrahedra are relabelled. The refinement ends when there are no
 //!    violations, no further remedies, or no rounds left in the budget.
 //! 8. With `--method tight-cocone`, the shape of the Voronoi cells labels the tetrahedra instead,
-//!    and points are added where this surface lacks a part of the previous one.
+//!    and points are added where it lacks a part of the restricted surface.
 //! 9. The facets are extracted as a mesh, and parts of the surface that touch at a vertex are
 //!    separated.
 //! 10. Sweeps and local moves improve the triangles, and an acceptance test preserves the topology.

@@ -105,8 +105,8 @@ pub fn compute(args: &Args, inputs: Inputs, context: &Context) -> Result<Made> {
     }
 }
 
-/// Updates a finished surface. `distance`, `sizing` and `reference`, if given, are in the world
-/// frame of the surface.
+/// Updates a finished surface. The fields and the optional `reference` are in the world frame
+/// of the surface.
 fn compute_update(
     args: &Args,
     previous: &SurfaceFile,
@@ -139,13 +139,13 @@ fn compute_update(
     match (distance, &*reference) {
         (DistanceField::Object(field), Reference::Object(reference)) => {
             let (spline, topology) = &**reference;
-            let (told, options) = told_of_object(args, field)?;
+            let (told, options) = meta_of_object(args, field)?;
             let samples = (!options.open_border).then_some(&*field.image);
             let made = update(surface, &Object { field: spline, topology, samples }, &sizing, &options, context);
             finish(args, made, &Given::Object(told, spline), &options, context)
         }
         (DistanceField::Materials(file), Reference::Materials(nodes)) => {
-            let (told, options) = told_of_materials(args, file)?;
+            let (told, options) = meta_of_materials(args, file)?;
             let subject = Materials { indicators: &file.materials, nodes, table: file.materials.table() };
             let made = update(surface, &subject, &sizing, &options, context);
             finish(args, made, &Given::Materials(told, file), &options, context)
@@ -155,7 +155,7 @@ fn compute_update(
 }
 
 /// Returns an error if a surface has failed a check. An update takes the junction curves and the
-/// merged vertices from the surface, so its checks cannot find their faults.
+/// merged vertices from the surface, so faults of these pass its checks.
 ///
 /// # Errors
 /// If the metadata lists a failed check or cannot be read.
@@ -166,12 +166,12 @@ fn refuse_failed(args: &Args, previous: &SurfaceFile) -> Result<()> {
         Some(first) => Err(Error::input(
             format!("{}: a check has failed: {first}", args.particles.display()),
             "an update takes the junction curves from the surface, and its checks cannot find their faults",
-            "update a surface that has passed, or change the options of the stages until this one does",
+            "update a surface that has passed, or change the options of the stages until it passes",
         )),
     }
 }
 
-/// Computes the surface from particles, their field and the size field if given.
+/// Computes the surface from particles, their field and an optional size field.
 fn compute_on_field(
     args: &Args,
     file: &ParticleFile,
@@ -203,7 +203,7 @@ fn compute_on_field(
     let sizing = sizing.map(|field| SizingField::new(Arc::clone(&field.image)));
     match distance {
         DistanceField::Object(field) => {
-            let (told, options) = told_of_object(args, field)?;
+            let (told, options) = meta_of_object(args, field)?;
             let phase = context.step("spline");
             let spline = CubicSpline::new(&field.image);
             drop(phase);
@@ -211,7 +211,7 @@ fn compute_on_field(
             finish(args, made, &Given::Object(told, &spline), &options, context)
         }
         DistanceField::Materials(given) => {
-            let (told, options) = told_of_materials(args, given)?;
+            let (told, options) = meta_of_materials(args, given)?;
             let (particles, table) = ((particles, strata(args, file)?), given.materials.table());
             let made = reconstruct_materials(particles, &given.materials, table, sizing.as_ref(), &options, context);
             finish(args, made, &Given::Materials(told, given), &options, context)
@@ -234,14 +234,14 @@ fn strata<'a>(args: &Args, file: &'a ParticleFile) -> Result<&'a Strata> {
 }
 
 /// Returns the metadata of the field of one object, and the options for it.
-fn told_of_object(args: &Args, field: &Field) -> Result<(DistanceMeta, Options)> {
+fn meta_of_object(args: &Args, field: &Field) -> Result<(DistanceMeta, Options)> {
     let told: DistanceMeta = meta::typed(args.field_names()[0], &field.meta, "distfield")?;
     let (keeps_voxels, open_border) = (told.keeps_voxels(), told.border == Some(Border::Open));
     Ok((told, Options { keeps_voxels, open_border, ..args.options() }))
 }
 
 /// Returns the metadata of many materials, and the options for them.
-fn told_of_materials(args: &Args, file: &MaterialsFile) -> Result<(MaterialsMeta, Options)> {
+fn meta_of_materials(args: &Args, file: &MaterialsFile) -> Result<(MaterialsMeta, Options)> {
     let [path, _] = args.field_names();
     let told: MaterialsMeta = meta::typed(path, &file.meta, "distfield")?;
     if told.border == Some(Border::Open) {

@@ -1,5 +1,5 @@
-//! The field of one object or the indicators of many materials, as the steps after the joining of
-//! the points see them.
+//! The reference of the improvement and of the checks: the field of one object, or the indicators
+//! of many materials.
 
 use crate::held::one_of_each_component;
 use crate::improve::InterfaceFunctions;
@@ -22,7 +22,8 @@ pub trait Subject: Sync {
     /// Returns the functions of the interfaces.
     fn functions(&self) -> &dyn InterfaceFunctions;
 
-    /// Returns the names of the materials, by material number; empty for one object.
+    /// Returns the names of the materials, then of the planes at which they end; empty for one
+    /// object.
     fn table(&self) -> &[Material] {
         &[]
     }
@@ -32,14 +33,14 @@ pub trait Subject: Sync {
         None
     }
 
-    /// Returns the samples of F at the grid nodes, where a node with F = 0 has no side. Empty if
-    /// every node has a material.
+    /// Returns the samples of F at the grid nodes, where a node with F = 0 has no side. Empty for
+    /// many materials and for an open border.
     fn samples(&self) -> &[f32] {
         &[]
     }
 
-    /// Returns the grid nodes (x fastest, ascending) that are in another material in the mesh, or
-    /// `None` if nodes are not compared.
+    /// Returns the grid nodes (x fastest, ascending) whose material differs in the mesh, or `None`
+    /// if nodes are not compared.
     fn wrong_nodes(&self, interfaces: &Interfaces) -> Option<Vec<usize>>;
 
     /// Returns the vertices that the improvement must not move.
@@ -47,12 +48,12 @@ pub trait Subject: Sync {
         Vec::new()
     }
 
-    /// Compares the topology of a mesh with that of the field. `wrong_nodes` are the grid nodes in
-    /// another material of the mesh.
+    /// Compares the topology of a mesh with that of the field. `wrong_nodes` are those of
+    /// [`Self::wrong_nodes`].
     fn compare(&self, mesh: &TriangleMesh, wrong_nodes: &[usize]) -> Comparison;
 }
 
-/// Topology of the field, and of the mesh.
+/// Topology of the field, compared with that of the mesh.
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum Topology {

@@ -61,8 +61,8 @@ impl Reference {
     }
 }
 
-/// Changes the surface `previous` (world coordinates, with h at its vertices and, of many
-/// materials, the materials at its triangles) where `sizing` differs from this h.
+/// Changes the surface `previous` (world coordinates, with h at its vertices and, for many
+/// materials, those of its triangles) where `sizing` differs from this h.
 ///
 /// # Errors
 /// If the surface has no h or no materials, if it belongs to another field, or if the run is
@@ -154,8 +154,8 @@ fn interfaces_of(surface: &Surface, subject: &dyn Subject) -> Result<Interfaces>
     Ok(interfaces)
 }
 
-/// Records as joined the vertices of junction curves that are farther than the limit of the check
-/// from one of their interfaces. In the surface of a reconstruction, these are vertices at which
+/// Records as joined the vertices of junction curves that exceed the distance limit of the check to
+/// one of their interfaces. In the surface of a reconstruction, these are vertices at which
 /// strata were merged. The check accepts their present distances.
 ///
 /// # Errors
@@ -190,7 +190,7 @@ fn join_the_distant(interfaces: &mut Interfaces, subject: &dyn Subject, options:
     Ok(())
 }
 
-/// Returns whether `size` differs from `before`, the previous h, at each vertex.
+/// Returns, for each vertex, whether `size` differs from `before`, the previous h.
 fn with_another_size(mesh: &TriangleMesh, before: &[f64], size: &(dyn Fn(DVec3) -> f64 + Sync)) -> Vec<bool> {
     let differs = |(p, before): (&DVec3, &f64)| (size(*p) / before - 1.0).abs() > SAME_SIZE;
     mesh.vertices.par_iter().zip(before).map(differs).collect()

@@ -156,9 +156,9 @@ pub(super) const FIRST_MOVES: usize = 4;
 /// minimum radius ratio of 0.535, 0.620 and 0.659.
 pub(super) const WASTED_WORK_LIMIT: usize = 6_000;
 /// Wasted work that a unit of useful work allows for triangles below [`FIT`]. For the others, the
-/// two are equal. With factors of 1, 3 and 8, `brain_parcellation` (all materials, 100,000 vertices)
-/// keeps 658, 176 and 176 triangles below [`FIT`], at minimum radius ratios of 0.230, 0.286 and
-/// 0.286. Where few triangles are below [`FIT`], nothing changes.
+/// two are equal. With factors of 1, 3 and 8, `brain_parcellation` (all materials, 100,000
+/// vertices) keeps 658, 176 and 176 triangles below [`FIT`], at minimum radius ratios of 0.230,
+/// 0.286 and 0.286. Where few triangles are below [`FIT`], nothing changes.
 pub(super) const WORTH_OF_UNFIT: usize = 3;
 
 // --- patch remeshing at a smaller target length, where F bends within h ---

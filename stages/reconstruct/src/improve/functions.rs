@@ -39,7 +39,7 @@ pub trait InterfaceFunctions: Sync {
     fn project(&self, pair: Interface, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
     /// Returns the projection of `start` onto the junction curve of two interfaces. Returns `None`
-    /// as [`Self::project`] does, and if the interfaces do not meet in a curve.
+    /// as [`Self::project`] does, or if the interfaces do not meet in a curve.
     fn project_onto_curve(
         &self,
         _interfaces: [Interface; 2],

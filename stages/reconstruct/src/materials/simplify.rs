@@ -12,8 +12,8 @@ use isoparticles_stage::error::Result;
 const MOST_ROUNDS: usize = 3;
 
 /// Contracts segments and improves the triangles near the contractions, until no segment can be
-/// contracted or [`MOST_ROUNDS`] is reached. `report` gets the sum of the moves and the final
-/// quality. Returns the number of contractions.
+/// contracted or [`MOST_ROUNDS`] is reached. Updates the moves and the final quality in
+/// `report`. Returns the number of contractions.
 ///
 /// # Errors
 /// If the run is interrupted.

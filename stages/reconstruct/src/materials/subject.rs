@@ -1,6 +1,5 @@
-//! The indicators of many materials, as the steps after the joining of the points see them. The
-//! function of the interface between materials i and j is G_ij, half the difference of their
-//! indicators.
+//! Many materials as the reference of the improvement and of the checks. The function of the
+//! interface between materials i and j is G_ij, half the difference of their indicators.
 
 use super::nodes::Nodes;
 use super::pieces::{missing, pieces};

@@ -21,7 +21,7 @@ impl Surface<'_> {
         nearest
     }
 
-    /// Returns the triangle nearest to a point, and the lowest index of several. Returns `None`
+    /// Returns the triangle nearest to a point, the first of equals. Returns `None`
     /// without a grid or triangles.
     fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
         let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
