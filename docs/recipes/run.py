@@ -65,14 +65,15 @@ def environment(small: bool, scripts: Path | None, work: Path) -> dict[str, str]
     without one, the package that this interpreter imports.
     """
     commands = work / ".bin"
-    commands.mkdir(parents=True, exist_ok=True)
-    called = {"python": f"'{sys.executable}'", "isoparticles": f"'{sys.executable}' -m isoparticles"}
+    shutil.rmtree(commands, ignore_errors=True)
+    commands.mkdir(parents=True)
+    called = {"python": f"'{sys.executable}'"}
+    if scripts is None:
+        called["isoparticles"] = f"'{sys.executable}' -m isoparticles"
     for name, words in called.items():
         path = commands / name
         path.write_text(f'#!/bin/sh\nexec {words} "$@"\n', encoding="utf-8")
         path.chmod(0o755)
-    if scripts is not None:
-        (commands / "isoparticles").unlink()
     folders = [str(commands), *([] if scripts is None else [str(scripts)]), os.environ["PATH"]]
     return {**os.environ, "PATH": os.pathsep.join(folders), "RECIPE_SMALL": "yes" if small else "no"}
 
