@@ -69,7 +69,7 @@ class Components(NamedTuple):
         return np.stack([bodies, np.full_like(bodies, -1)], axis=1), self.labels
 
     def cavities(self) -> tuple[Labels, Labels]:
-        """Return the component of each triangle, and the components that bound a cavity."""
+        """Return the component of each triangle, and the components around cavities."""
         return self.labels, np.flatnonzero(self.depths % 2 == 1)
 
 
@@ -103,7 +103,7 @@ class Shells(NamedTuple):
         return pairs_of(self.of_inside, self.of_outside)
 
     def cavities(self) -> tuple[Labels, Labels]:
-        """Return the volume in front of each triangle, and the outside of each shell."""
+        """Return the number in front of each triangle, and those outside all volumes."""
         return self.of_outside, np.unique(self.of_outside[self.of_outside < 0])
 
 

@@ -130,7 +130,8 @@ def solve_on(
         return [], None
     if missing := _missing():
         results["reason"] = f"{missing}: not installed ({_INSTALL})"
-        context.info(f"no problem is solved: {results['reason']}")
+        say = context.info if currents is None else context.warn
+        say(f"no problem is solved: {results['reason']}")
         return [], None
     done: dict[str, dict[str, Any]] = {}
     unfinished: dict[str, str] = {}

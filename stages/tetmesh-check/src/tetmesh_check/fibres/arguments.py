@@ -33,7 +33,7 @@ _NEEDS = {
     "helix_outflow": {"outflow"},
     "helix_outflow_rv": {"endo_rv", "outflow"},
 }
-"""The boundaries without which an option has no effect."""
+"""The boundaries that an option needs."""
 _OPTIONS = (*_SETS, "apex", "helix", "sheet", *_NEEDS)
 _REQUIRED = ("endo", "epi", "base")
 
@@ -103,7 +103,7 @@ def fibre_arguments(given: Mapping[str, Any]) -> FibreArguments | None:
             if given[option] is not None and given[boundary] is None:
                 raise StageError(
                     f"{names[option]} without {names[boundary]}",
-                    "it applies near that boundary only",
+                    "it has no effect without this boundary",
                     f"add {names[boundary]} with a set, or omit {names[option]}",
                 )
     sets = tuple(replace(given[name], name=name) for name in _SETS if given[name] is not None)

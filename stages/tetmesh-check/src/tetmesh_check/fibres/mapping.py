@@ -154,7 +154,8 @@ def _along_both(
 
     Each ventricle is solved alone, because the flow from the base to an apex would otherwise cross
     from one ventricle to the other. The domains overlap where the share of the right ventricle is
-    1/4 to 3/4; there, directions and weights change linearly with the share.
+    1/4 to 3/4; there, directions and weights change linearly with the share. Without a base in its
+    domain, a ventricle takes the solution of the whole muscle.
     """
     weight = np.clip(2.0 * right - 0.5, 0.0, 1.0)
     along, share = np.zeros((len(right), 3)), np.zeros(len(right))
@@ -247,7 +248,7 @@ def map_fibres(
 
 
 def _coordinates(muscle: _Muscle, along: Points, apices: Sequence[Labels]) -> dict[str, Values]:
-    """Return the coordinates of the points by name, with the apicobasal gradients of the left."""
+    """Return the coordinates of the points by name; ``along`` belongs to the left apex."""
     nodes, centres, (apex, *others) = muscle.nodes, muscle.centres, [muscle.basis.mesh.p.T[own[0]] for own in apices]
     to_right = centres["endo_rv"] - apex if others else None
     found = {

@@ -54,6 +54,8 @@ def regular_volume(edge_length: float) -> float:
 def cavity_points(surface: Surface, parts: Components | Shells) -> Points:
     """Find a point in every cavity, near its largest triangle; shape ``(k, 3)``, mm.
 
+    For many materials, the space around each shell also gets a point.
+
     Parameters
     ----------
     surface
