@@ -36,7 +36,7 @@ const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or sm
 #[derive(Clone, Copy, Default)]
 pub struct CheckOptions<'a> {
     /// The field or the indicators, if the mesh is compared with them.
-    pub truth: Option<&'a dyn Subject>,
+    pub subject: Option<&'a dyn Subject>,
     /// Whether grid nodes in another material fail the check.
     pub keeps_nodes: bool,
     /// Minimum radius ratio; `None` means any.
@@ -78,7 +78,7 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
     report.quality = summarise(mesh);
     let pairs = interfaces.pairs_at_vertices();
     let meeting = meeting(mesh.vertices.len(), &pairs);
-    let centroids = options.truth.map_or_else(Vec::new, |truth| Centroid::all(interfaces, truth));
+    let centroids = options.subject.map_or_else(Vec::new, |subject| Centroid::all(interfaces, subject));
     let checker = Checker { interfaces, options, kinds: interfaces.pairs(), meeting, centroids };
     let found = &mut report.offenders;
     found.insert(Fault::ZeroAreaTriangles, Simplices::Triangles(zero_area_triangles(mesh)));
@@ -88,9 +88,9 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> CheckReport {
     checker.check_curves(&mut report);
     checker.check_regions(&mut report);
     checker.measure_pairs(&mut report);
-    if let Some(truth) = options.truth {
-        checker.check_distances(truth, &pairs, &mut report);
-        if let Some(wrong) = truth.wrong_nodes(interfaces) {
+    if let Some(subject) = options.subject {
+        checker.check_distances(subject, &pairs, &mut report);
+        if let Some(wrong) = subject.wrong_nodes(interfaces) {
             report.offenders.insert(Fault::NodesOnWrongSide, Simplices::Nodes(wrong));
         }
     }
@@ -143,11 +143,11 @@ struct Centroid {
 }
 
 impl Centroid {
-    fn all(interfaces: &Interfaces, truth: &dyn Subject) -> Vec<Self> {
-        let voxel = truth.geometry().mean_spacing();
+    fn all(interfaces: &Interfaces, subject: &dyn Subject) -> Vec<Self> {
+        let voxel = subject.geometry().mean_spacing();
         let of = |t: usize| {
             let [a, b, c] = interfaces.mesh.corners(t);
-            let (value, gradient) = truth.functions().value_gradient(interfaces.between[t], (a + b + c) / 3.0);
+            let (value, gradient) = subject.functions().value_gradient(interfaces.between[t], (a + b + c) / 3.0);
             let flux = 0.5 * (b - a).cross(c - a).dot(gradient.normalize_or_zero());
             Self { distance: distance_estimate(value, gradient).abs() / voxel, flux }
         };
@@ -165,7 +165,7 @@ fn merged<'a, T: Copy + Ord + 'a>(lists: impl Iterator<Item = &'a Vec<T>>) -> Ve
 
 impl Checker<'_> {
     fn name(&self, id: MaterialId) -> String {
-        let table = self.options.truth.map_or(&[][..], |truth| truth.table());
+        let table = self.options.subject.map_or(&[][..], |subject| subject.table());
         let name = table.get(id.index()).map(|material| material.name.clone());
         name.unwrap_or_else(|| if id == MaterialId::OUTSIDE { "outside" } else { "object" }.to_owned())
     }
@@ -197,10 +197,10 @@ impl Checker<'_> {
 
     /// Returns whether both ends of an edge are close to the border of the volume.
     fn is_at_border(&self, edge: Segment) -> bool {
-        let Some(truth) = self.options.truth else { return false };
+        let Some(subject) = self.options.subject else { return false };
         let [a, b] = edge.map(|v| self.interfaces.mesh.vertices[v as usize]);
-        let near = 2.0 * a.distance(b) + truth.geometry().mean_spacing();
-        let upper = truth.geometry().upper_corner();
+        let near = 2.0 * a.distance(b) + subject.geometry().mean_spacing();
+        let upper = subject.geometry().upper_corner();
         [a, b].into_iter().all(|p| p.min(upper - p).min_element() < near)
     }
 
@@ -230,7 +230,7 @@ impl Checker<'_> {
             (Fault::NonManifoldVertices, Simplices::Vertices(numbers(|own| &own.topology.non_manifold_vertices))),
             (Fault::RepeatedTriangles, Simplices::Triangles(numbers(|own| &own.topology.collapsed_triangles))),
         ]);
-        if self.options.truth.is_some() {
+        if self.options.subject.is_some() {
             let count = found.iter().map(|own| own.inward).sum();
             report.offenders.insert(Fault::InwardComponents, Simplices::Components(count));
         }
@@ -285,11 +285,11 @@ impl Checker<'_> {
     }
 
     /// Measures the distances of vertices and centroids from their interfaces.
-    fn check_distances(&self, truth: &dyn Subject, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
+    fn check_distances(&self, subject: &dyn Subject, pairs: &[(u32, [MaterialId; 2])], report: &mut CheckReport) {
         let Interfaces { mesh, joined, .. } = self.interfaces;
-        let voxel = truth.geometry().mean_spacing();
+        let voxel = subject.geometry().mean_spacing();
         let distance = |&(v, pair): &(u32, [MaterialId; 2])| {
-            let (value, gradient) = truth.functions().value_gradient(pair, mesh.vertices[v as usize]);
+            let (value, gradient) = subject.functions().value_gradient(pair, mesh.vertices[v as usize]);
             let distance = distance_estimate(value, gradient).abs() / voxel;
             if distance.is_nan() { f64::INFINITY } else { distance }
         };
@@ -325,7 +325,7 @@ impl Checker<'_> {
         let poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit);
         let (forced, poor): (Vec<u32>, Vec<u32>) =
             poor.partition(|&t| is_forced(self.interfaces, &self.meeting, limit, t));
-        let world = |p: DVec3| self.options.truth.map_or(p, |truth| truth.geometry().grid_to_world(p)).to_array();
+        let world = |p: DVec3| self.options.subject.map_or(p, |subject| subject.geometry().grid_to_world(p)).to_array();
         let described = |&t: &u32| {
             let centroid = mesh.corners(t as usize).into_iter().sum::<DVec3>() / 3.0;
             ForcedTriangle { place: world(centroid), radius_ratio: ratios[t as usize] }
@@ -363,7 +363,7 @@ impl Checker<'_> {
             }
         }
         let volume = report.object().volume;
-        if self.options.truth.is_none() && volume <= 0.0 {
+        if self.options.subject.is_none() && volume <= 0.0 {
             failed.push(format!("the normals point inward: the volume is {} mm^3", significant(volume)));
         }
         failed
@@ -404,7 +404,7 @@ mod tests {
         let (image, mesh) = ball(4.0);
         let field = CubicSpline::new(&image);
         let options = CheckOptions {
-            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
+            subject: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
             min_radius_ratio: Some(0.8),
             max_vertex_distance: Some(0.01),
             ..CheckOptions::default()
@@ -427,7 +427,7 @@ mod tests {
         let field = CubicSpline::new(&image);
         let topology = FieldTopology::new(&field);
         let options = CheckOptions {
-            truth: Some(&Object { field: &field, topology: &topology, samples: None }),
+            subject: Some(&Object { field: &field, topology: &topology, samples: None }),
             min_radius_ratio: Some(0.3),
             max_vertex_distance: Some(0.1),
             ..CheckOptions::default()

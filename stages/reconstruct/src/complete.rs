@@ -82,8 +82,8 @@ impl Completion<'_> {
     /// junction points and vertices on merged curves are fixed. `dimensions` contains the dimension
     /// of the stratum of each vertex; it is not used for a single interface. If `around` is given,
     /// the mesh changes only near these vertices. With `adjusts`, the lengths of the edges there
-    /// are adjusted to h, and the segments are then out of date. Also returns the index of each
-    /// vertex in the improved mesh (`u32::MAX` if it was removed).
+    /// are adjusted to h, also along junction curves. Also returns the index of each vertex in the
+    /// improved mesh (`u32::MAX` if it was removed).
     ///
     /// # Errors
     /// Those of [`improve`].
@@ -112,15 +112,19 @@ impl Completion<'_> {
         let constraints = Constraints { functions: subject.functions(), freedom, sides };
         let (report, numbers) = improve(interfaces, constraints, self.size, &how, &|| Ok(self.monitor.check()?))?;
         let number = |v: u32| numbers.get(v as usize).copied().unwrap_or(u32::MAX);
-        let is_gone = |v: u32| is_on_curve.get(v as usize) == Some(&true) && number(v) == u32::MAX;
-        interfaces.segments = bridged(std::mem::take(&mut interfaces.segments), is_gone);
-        interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
+        if adjusts {
+            interfaces.segments = interfaces.edges_of_curves();
+        } else {
+            let is_gone = |v: u32| is_on_curve.get(v as usize) == Some(&true) && number(v) == u32::MAX;
+            interfaces.segments = bridged(std::mem::take(&mut interfaces.segments), is_gone);
+            interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
+        }
         interfaces.joined.iter_mut().for_each(|own| own.vertex = number(own.vertex));
         Ok((report, numbers))
     }
 
-    /// Checks a mesh and compares its topology with that of the field. `joining` and
-    /// `kept` become part of the result.
+    /// Checks a mesh and compares its topology with that of the field. `joining` and `kept` become
+    /// part of the result.
     ///
     /// # Errors
     /// If the run is interrupted.
@@ -135,7 +139,7 @@ impl Completion<'_> {
         let _phase = self.monitor.phase("check");
         let options = self.options;
         let how = CheckOptions {
-            truth: Some(self.subject),
+            subject: Some(self.subject),
             keeps_nodes: options.keeps_voxels,
             min_radius_ratio: options.min_radius_ratio,
             max_vertex_distance: Some(options.max_vertex_distance),

@@ -204,9 +204,9 @@ fn compute_on_field(
     match distance {
         DistanceField::Object(field) => {
             let (told, options) = meta_of_object(args, field)?;
-            let phase = context.step("spline");
+            let step = context.step("spline");
             let spline = CubicSpline::new(&field.image);
-            drop(phase);
+            drop(step);
             let made = reconstruct(particles, (&spline, &field.image), sizing.as_ref(), &options, context);
             finish(args, made, &Given::Object(told, &spline), &options, context)
         }

@@ -87,8 +87,6 @@ pub fn update(
     let dimensions = interfaces.dimensions();
     let completion = Completion { subject, size: &size, options, monitor };
     let (improved, numbers) = completion.improve(&mut interfaces, &dimensions, Some(&around), true)?;
-    // the edges of curves have changed if they were split or collapsed
-    interfaces.segments = interfaces.edges_of_curves();
     drop(phase);
     let kept = kept(&previous.mesh, &before, &interfaces.mesh, &numbers);
     completion.check(interfaces, improved, None, kept)
@@ -155,19 +153,19 @@ fn interfaces_of(surface: &Surface, subject: &dyn Subject) -> Result<Interfaces>
 }
 
 /// Records as joined the vertices of junction curves that exceed the distance limit of the check to
-/// one of their interfaces. In the surface of a reconstruction, these are vertices at which
-/// strata were merged. The check accepts their present distances.
+/// one of their interfaces. In the surface of a reconstruction, these are vertices at which strata
+/// were merged. The check accepts their present distances.
 ///
 /// # Errors
 /// If the mesh is empty or not well-formed, or if most vertices are far from their interfaces.
 fn join_the_distant(interfaces: &mut Interfaces, subject: &dyn Subject, options: &Options) -> Result<()> {
-    let wrong = |what: String| {
-        let why = "the surface does not belong to the distance field";
-        Err(Error::input(what, why, "pass the distance field from which the surface was made"))
-    };
     let mesh = &interfaces.mesh;
     if mesh.triangles.is_empty() || !mesh.is_well_formed() {
-        return wrong("the surface has no triangles, or a coordinate that is not finite".to_owned());
+        return Err(Error::input(
+            "the surface has no triangles, or a coordinate or an index is invalid",
+            "such a surface cannot be updated",
+            "pass a .vtp file that reconstruct has written",
+        ));
     }
     let voxel = subject.geometry().mean_spacing();
     let distance = |&(v, interface): &(u32, Interface)| {
@@ -180,8 +178,10 @@ fn join_the_distant(interfaces: &mut Interfaces, subject: &dyn Subject, options:
     let far = of_vertex.clone().filter(|own| maximum(own) > FARTHEST * voxel).count();
     if 2 * far > mesh.vertices.len() {
         let count = mesh.vertices.len();
-        return wrong(format!(
-            "{far} of {count} vertices are not within {FARTHEST} voxel of F = 0 or of their interfaces"
+        return Err(Error::input(
+            format!("{far} of {count} vertices are not within {FARTHEST} voxel of F = 0 or of their interfaces"),
+            "the surface does not belong to the distance field",
+            "pass the distance field from which the surface was made",
         ));
     }
     let limit = options.max_vertex_distance * voxel;

@@ -275,7 +275,7 @@ mod tests {
         let mean = |mesh: &TriangleMesh| summarise(mesh).radius_ratio_mean;
         assert!(mean(&made) > mean(&mesh) + 0.02, "{} from {}", mean(&made), mean(&mesh));
         let options = CheckOptions {
-            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
+            subject: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
             max_vertex_distance: Some(1e-4),
             ..CheckOptions::default()
         };

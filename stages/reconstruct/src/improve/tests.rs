@@ -46,7 +46,7 @@ fn ring(centre: DVec3, radius: f64, tube: f64) -> impl Fn(DVec3) -> f64 {
 /// topology as before.
 pub(super) fn assert_sound(mesh: &TriangleMesh, field: &CubicSpline, before: &CheckReport, label: &str) -> CheckReport {
     let options = CheckOptions {
-        truth: Some(&Object { field, topology: &FieldTopology::new(field), samples: None }),
+        subject: Some(&Object { field, topology: &FieldTopology::new(field), samples: None }),
         max_vertex_distance: Some(1e-4),
         ..CheckOptions::default()
     };
@@ -491,7 +491,7 @@ fn guarded_nodes_stay_on_their_side() {
     let before = check_object(
         &start,
         &CheckOptions {
-            truth: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
+            subject: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
             ..CheckOptions::default()
         },
     );
@@ -501,7 +501,7 @@ fn guarded_nodes_stay_on_their_side() {
         let after = check_object(
             &mesh,
             &CheckOptions {
-                truth: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
+                subject: Some(&Object { field: &field, topology: &topology, samples: Some(&image) }),
                 ..CheckOptions::default()
             },
         );

@@ -31,7 +31,7 @@ fn wrong_grid_nodes_are_repaired_with_fit_triangles() {
     let checked = check_object(
         &mesh,
         &CheckOptions {
-            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
+            subject: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: Some(&image) }),
             ..CheckOptions::default()
         },
     );

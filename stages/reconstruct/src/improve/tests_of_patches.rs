@@ -113,7 +113,7 @@ fn a_small_component_of_needles_becomes_a_fit_ellipsoid() {
         optimise::optimise(&mut surface, FIT, &|| Ok(()), &mut tally).expect("nothing stops it");
         assert_eq!(tally.remeshed_patches, 1, "{tally:?}");
         let options = CheckOptions {
-            truth: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
+            subject: Some(&Object { field: &field, topology: &FieldTopology::new(&field), samples: None }),
             max_vertex_distance: Some(1e-4),
             ..Default::default()
         };

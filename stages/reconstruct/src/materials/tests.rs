@@ -461,7 +461,7 @@ fn each_kind_of_damage_fails_its_check() {
     let table = scene.table();
     let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &table };
     let options = CheckOptions {
-        truth: Some(&subject),
+        subject: Some(&subject),
         keeps_nodes: true,
         min_radius_ratio: Some(0.3),
         max_vertex_distance: Some(1e-4),
@@ -534,7 +534,7 @@ fn a_reversed_interface_is_one_inward_component() {
     let made = made(&scene, &scene.analytic, 2.0, false);
     let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
     let options = CheckOptions {
-        truth: Some(&Materials { indicators: &scene.analytic, nodes: &nodes, table: &[] }),
+        subject: Some(&Materials { indicators: &scene.analytic, nodes: &nodes, table: &[] }),
         ..CheckOptions::default()
     };
     let mut reversed = made.interfaces.clone();
@@ -552,7 +552,7 @@ fn triangles_forced_by_curves_fail_unless_accepted() {
     let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &table };
     let checked = |accept_forced: bool| {
         let options = CheckOptions {
-            truth: Some(&subject),
+            subject: Some(&subject),
             keeps_nodes: true,
             min_radius_ratio: Some(1.0),
             max_vertex_distance: Some(1e-4),
