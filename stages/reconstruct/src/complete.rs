@@ -1,6 +1,6 @@
 //! Improves and checks a mesh: the last steps of a reconstruction and of an update.
 
-use crate::check::{CheckOptions, CheckReport, Fault, Simplices, check};
+use crate::check::{CheckOptions, CheckReport, check};
 use crate::improve::{Constraints, Freedom, ImproveOptions, ImproveReport, NodeSides, improve};
 use crate::interfaces::{Interfaces, Segment, segment};
 use crate::options::Options;
@@ -147,11 +147,7 @@ impl Completion<'_> {
             open_border: options.open_border,
         };
         let checked = check(&interfaces, &how);
-        let wrong = match checked.offenders.get(&Fault::NodesOnWrongSide) {
-            Some(Simplices::Nodes(wrong)) => &wrong[..],
-            _ => &[],
-        };
-        let Comparison { topology, failed, mut doubtful } = self.subject.compare(&interfaces.mesh, wrong);
+        let Comparison { topology, failed, mut doubtful } = self.subject.compare(&interfaces.mesh, &checked);
         let failed = [checked.failed.clone(), failed].concat();
         doubtful.extend(joining.iter().flat_map(|joining| joining.doubtful.clone()));
         let sizes = interfaces.mesh.vertices.par_iter().map(|&p| (self.size)(p)).collect();

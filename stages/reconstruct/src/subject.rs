@@ -1,6 +1,7 @@
 //! The reference of the improvement and of the checks: the field of one object, or the indicators
 //! of many materials.
 
+use crate::check::CheckReport;
 use crate::held::one_of_each_component;
 use crate::improve::InterfaceFunctions;
 use crate::interfaces::Interfaces;
@@ -48,9 +49,8 @@ pub trait Subject: Sync {
         Vec::new()
     }
 
-    /// Compares the topology of a mesh with that of the field. `wrong_nodes` are those of
-    /// [`Self::wrong_nodes`].
-    fn compare(&self, mesh: &TriangleMesh, wrong_nodes: &[usize]) -> Comparison;
+    /// Compares the topology of a mesh, whose check is given, with that of the field.
+    fn compare(&self, mesh: &TriangleMesh, checked: &CheckReport) -> Comparison;
 }
 
 /// Topology of the field, compared with that of the mesh.
@@ -59,7 +59,7 @@ pub trait Subject: Sync {
 pub enum Topology {
     /// Of one object.
     Object(TopologyReport),
-    /// The components of each material on the grid nodes.
+    /// The components and Euler characteristics of each material.
     Materials(Vec<Pieces>),
 }
 
@@ -115,7 +115,7 @@ impl Subject for Object<'_> {
         one_of_each_component(mesh, self.field, self.topology)
     }
 
-    fn compare(&self, mesh: &TriangleMesh, _wrong_nodes: &[usize]) -> Comparison {
+    fn compare(&self, mesh: &TriangleMesh, _checked: &CheckReport) -> Comparison {
         let report = TopologyReport::new(mesh, self.field, self.topology);
         let (failed, doubtful) = report.differences(self.samples.is_none());
         Comparison { topology: Topology::Object(report), failed, doubtful }

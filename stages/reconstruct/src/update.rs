@@ -38,7 +38,7 @@ pub enum Reference {
     /// F and its topology.
     Object(Box<(CubicSpline, FieldTopology)>),
     /// The material of each grid node.
-    Materials(Nodes),
+    Materials(Box<Nodes>),
 }
 
 impl Reference {
@@ -55,7 +55,7 @@ impl Reference {
                 Ok(Self::Object(Box::new((spline, topology))))
             }
             DistanceField::Materials(file) => {
-                Ok(Self::Materials(Nodes::new(file.materials.geometry(), &file.materials)))
+                Ok(Self::Materials(Box::new(Nodes::new(file.materials.geometry(), &file.materials))))
             }
         }
     }

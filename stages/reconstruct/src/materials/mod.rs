@@ -10,8 +10,8 @@
 //! | tetrahedra that change their material where points do not help | `relabel` |
 //! | edges that become segments where strata are merged, redundant segments dropped | `unite` |
 //! | short segments of curves contracted at a scale | `contract` |
-//! //! | contraction of segments that still limit the quality | `simplify` |
-//! | functions of the interfaces, components of the materials | [`subject`], [`pieces`] |
+//! | contraction of segments that still limit the quality | `simplify` |
+//! | functions of the interfaces, topology of the materials | [`subject`], [`pieces`] |
 //! | all steps in order | [`reconstruct`] |
 //! | surfaces of single materials | `each` |
 

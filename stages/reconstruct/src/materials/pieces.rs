@@ -1,7 +1,9 @@
-//! Counts the connected components of each material, of grid nodes that share a face, and finds the
-//! components that are missing from a mesh.
+//! Compares the topology of each material in a mesh with that of its indicator: finds the connected
+//! components, of grid nodes that share a face, that are missing, and compares Euler
+//! characteristics.
 
 use super::nodes::Nodes;
+use crate::check::{CheckReport, Fault, Simplices};
 use isoparticles_field::materials::Material;
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
@@ -11,7 +13,10 @@ use std::collections::BTreeMap;
 /// resolve such a speck.
 pub const SMALL: usize = 8;
 
-/// The components of a material.
+/// Maximum number of materials that a message names.
+const NAMED: usize = 5;
+
+/// The components and the Euler characteristic of a material.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pieces {
     /// Name of the material.
@@ -25,11 +30,29 @@ pub struct Pieces {
     pub missing: Vec<usize>,
     /// Number of missing components of at most [`SMALL`] nodes.
     pub missing_specks: usize,
+    /// Euler characteristic of the surface of the material in the mesh; `None` if it has none
+    /// there, or if it is the outside of a single interface.
+    pub mesh_euler: Option<i64>,
+    /// Bounds of the Euler characteristic of that surface by the indicators, on a lattice of half
+    /// voxels.
+    pub euler: [i64; 2],
+    /// Number of cubes of the lattice at which the connection of two parts is undecided.
+    pub undecided: usize,
 }
 
-/// Counts the components of each material of a table, and those that are missing from a mesh.
-/// `wrong` contains the nodes (ascending) that lie in another material of the mesh.
-pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces> {
+impl Pieces {
+    /// Returns whether the Euler characteristic in the mesh is outside the bounds.
+    pub fn is_other_euler(&self) -> bool {
+        self.mesh_euler.is_some_and(|euler| euler < self.euler[0] || euler > self.euler[1])
+    }
+}
+
+/// Compares each material of a table with its surface in a mesh, whose check is given.
+pub fn pieces(nodes: &Nodes, checked: &CheckReport, table: &[Material]) -> Vec<Pieces> {
+    let wrong = match checked.offenders.get(&Fault::NodesOnWrongSide) {
+        Some(Simplices::Nodes(wrong)) => &wrong[..],
+        _ => &[],
+    };
     let truth = nodes.materials();
     let [nx, ny, _] = nodes.geometry().size;
     let plane = nx * ny;
@@ -53,8 +76,13 @@ pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces>
         own.0 += 1;
         own.1 |= wrong.next_if_eq(&&n).is_none();
     }
-    let mut pieces: Vec<Pieces> =
-        table.iter().map(|material| Pieces { name: material.name.clone(), ..Pieces::default() }).collect();
+    let of_indicators = |(id, material): (usize, &Material)| {
+        let range = nodes.euler.get(id).copied().unwrap_or_default();
+        let mesh_euler = checked.regions.iter().find(|own| own.name == material.name).map(|own| own.euler);
+        let (euler, undecided) = (range.bounds(), range.undecided);
+        Pieces { name: material.name.clone(), mesh_euler, euler, undecided, ..Pieces::default() }
+    };
+    let mut pieces: Vec<Pieces> = table.iter().enumerate().map(of_indicators).collect();
     for (root, (count, is_present)) in components {
         let Some(own) = pieces.get_mut(usize::from(truth[root as usize])) else { continue };
         own.nodes += count;
@@ -72,4 +100,20 @@ pub fn pieces(nodes: &Nodes, wrong: &[usize], table: &[Material]) -> Vec<Pieces>
 pub fn missing(pieces: &[Pieces]) -> Option<String> {
     let count: usize = pieces.iter().map(|own| own.missing.len()).sum();
     (count > 0).then(|| format!("{count} missing components of materials"))
+}
+
+/// Names the materials whose Euler characteristic is outside its bounds, if there are any.
+pub fn other_euler(pieces: &[Pieces]) -> Option<String> {
+    let other: Vec<&Pieces> = pieces.iter().filter(|own| own.is_other_euler()).collect();
+    let told = |own: &&Pieces| {
+        let [low, high] = own.euler;
+        let bounds = if low == high { low.to_string() } else { format!("{low} to {high}") };
+        format!("{} {} instead of {bounds}", own.name, own.mesh_euler.unwrap_or_default())
+    };
+    let named: Vec<String> = other.iter().take(NAMED).map(told).collect();
+    let more = if other.len() > NAMED { ", ..." } else { "" };
+    (!other.is_empty()).then(|| format!(
+        "{} of {} materials have another Euler characteristic than their indicators, so handles, cavities or specks differ: {}{more}",
+        other.len(), pieces.iter().filter(|own| own.mesh_euler.is_some()).count(), named.join(", ")
+    ))
 }

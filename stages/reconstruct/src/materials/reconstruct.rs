@@ -35,10 +35,12 @@ pub fn reconstruct(
     options: &Options,
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
-    let phase = monitor.phase("project, triangulate");
-    let points = prepare(particles, strata, indicators)?;
+    let phase = monitor.phase("triangulate, topology");
+    // concurrent, because the triangulation uses a single thread and both results are independent
+    let points = || prepare(particles, strata, indicators);
+    let (points, nodes) = rayon::join(points, || Nodes::new(&particles.geometry, indicators));
+    let points = points?;
     let prepared = points.report;
-    let nodes = Nodes::new(&particles.geometry, indicators);
     drop(phase);
     monitor.check()?;
 

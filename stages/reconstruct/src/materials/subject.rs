@@ -2,7 +2,8 @@
 //! interface between materials i and j is G_ij, half the difference of their indicators.
 
 use super::nodes::Nodes;
-use super::pieces::{missing, pieces};
+use super::pieces::{missing, other_euler, pieces};
+use crate::check::CheckReport;
 use crate::improve::InterfaceFunctions;
 use crate::interfaces::{Interface, Interfaces};
 use crate::subject::{Comparison, Subject, Topology};
@@ -43,11 +44,12 @@ impl Subject for Materials<'_> {
         Some(self.nodes.wrong_by(interfaces))
     }
 
-    fn compare(&self, _mesh: &TriangleMesh, wrong_nodes: &[usize]) -> Comparison {
+    fn compare(&self, _mesh: &TriangleMesh, checked: &CheckReport) -> Comparison {
         let real = self.indicators.first_beyond().map_or(self.table.len(), MaterialId::index);
-        let pieces = pieces(self.nodes, wrong_nodes, &self.table[..real]);
-        let failed = missing(&pieces).into_iter().collect();
-        Comparison { topology: Topology::Materials(pieces), failed, doubtful: Vec::new() }
+        let pieces = pieces(self.nodes, checked, &self.table[..real]);
+        let (failed, doubtful) = (missing(&pieces), other_euler(&pieces));
+        let [failed, doubtful] = [failed, doubtful].map(|found| found.into_iter().collect());
+        Comparison { topology: Topology::Materials(pieces), failed, doubtful }
     }
 }
 

@@ -91,6 +91,7 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
             assert_eq!(made.checked.junctions.junction_points, points, "{name} {kind}");
             let Topology::Materials(pieces) = &made.topology else { panic!("many materials") };
             assert!(pieces.iter().all(|own| own.components == 1 && own.missing.is_empty()));
+            assert!(pieces.iter().all(|own| own.euler.map(Some) == [own.mesh_euler; 2]), "{pieces:?}");
         }
     }
 }
@@ -471,7 +472,7 @@ fn each_kind_of_damage_fails_its_check() {
         let mut interfaces = made.interfaces.clone();
         damage(&mut interfaces);
         let checked = check(&interfaces, &options);
-        let compared = subject.compare(&interfaces.mesh, &nodes.wrong_by(&interfaces));
+        let compared = subject.compare(&interfaces.mesh, &checked);
         [checked.failed, compared.failed].concat().join("; ")
     };
     assert_eq!(failed(&|_| {}), "");
@@ -526,6 +527,28 @@ fn each_kind_of_damage_fails_its_check() {
         let found = failed(damage);
         assert!(found.contains(what), "{what}: {found}");
     }
+}
+
+#[test]
+fn a_lost_cavity_changes_the_euler_characteristic() {
+    let scene = scenes::nested();
+    let made = made(&scene, &scene.analytic, 2.0, false);
+    let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
+    let table = scene.table();
+    let subject = Materials { indicators: &scene.analytic, nodes: &nodes, table: &table };
+    let doubts = |interfaces: &Interfaces| {
+        let options = CheckOptions { subject: Some(&subject), ..CheckOptions::default() };
+        subject.compare(&interfaces.mesh, &check(interfaces, &options)).doubtful.join("; ")
+    };
+    assert_eq!(doubts(&made.interfaces), "");
+    let (core, shell) = (MaterialId(2), MaterialId(1));
+    let mut solid = made.interfaces.clone();
+    let kept = |t: &usize| !made.interfaces.between[*t].contains(&core);
+    let kept: Vec<usize> = (0..solid.between.len()).filter(kept).collect();
+    solid.mesh.triangles = kept.iter().map(|&t| solid.mesh.triangles[t]).collect();
+    solid.between = kept.iter().map(|&t| solid.between[t]).collect();
+    let found = doubts(&solid);
+    assert!(found.contains(&format!("{} 2 instead of 4", table[shell.index()].name)), "{found}");
 }
 
 #[test]
