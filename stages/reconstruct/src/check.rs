@@ -7,7 +7,7 @@
 //! materials.
 
 mod forced;
-mod report;
+pub(crate) mod report;
 
 use crate::interfaces::{Interfaces, Segment};
 use crate::subject::Subject;

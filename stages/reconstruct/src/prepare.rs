@@ -15,8 +15,8 @@ use std::collections::BTreeSet;
 /// below the limit of the check, 1e-4.
 pub const ON_SURFACE: f64 = 1e-7;
 
-/// Maximum distance by which a particle is moved onto F = 0, in voxels.
-const LONGEST_MOVE: f64 = 1.0;
+/// Maximum distance by which a particle is moved onto the surface or onto its stratum, in voxels.
+pub(crate) const LONGEST_MOVE: f64 = 1.0;
 
 /// Minimum distance of two particles, as a share of the smaller h. Closer particles would only form
 /// slivers, so one of them is removed.
@@ -183,43 +183,53 @@ impl PrepareReport {
 ///
 /// # Errors
 /// If there is not one target edge length for each particle, or if fewer than half of the particles
-/// (or fewer than four) reach F = 0. The files then do not belong together.
+/// (or fewer than four) can be projected. The files then do not belong together.
 pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePoints> {
-    let count = particles.positions.len();
-    if particles.sizes.len() != count {
+    let voxel = field.geometry().mean_spacing();
+    let project = |v: usize| field.project(particles.positions[v], LONGEST_MOVE * voxel, ON_SURFACE * voxel);
+    let (points, report) = projected(particles, field.geometry().upper_corner(), project)?;
+    let (positions, sizes) = points.into_iter().flatten().unzip();
+    Ok(SurfacePoints { positions, sizes, report, ..SurfacePoints::default() })
+}
+
+/// Position (grid frame, mm) and h (mm) of a projected particle.
+pub(crate) type Placed = (DVec3, f64);
+
+/// Projects particles onto the surface or onto their strata. `project` is called with the index of
+/// a particle, which it moves by at most [`LONGEST_MOVE`]. The result is `None` for particles that
+/// are invalid, that cannot be projected, or that leave the volume. `upper` is the last corner of
+/// the volume.
+///
+/// # Errors
+/// Those of [`prepare`].
+pub(crate) fn projected(
+    particles: &ParticleSet,
+    upper: DVec3,
+    project: impl Fn(usize) -> Option<DVec3> + Sync,
+) -> Result<(Vec<Option<Placed>>, PrepareReport)> {
+    let ParticleSet { positions, sizes, .. } = particles;
+    let count = positions.len();
+    if sizes.len() != count {
         return Err(Error::input(
-            format!("{count} particles with {} target edge lengths", particles.sizes.len()),
+            format!("{count} particles with {} target edge lengths", sizes.len()),
             "each particle needs one",
             "run the stage `particles` again",
         ));
     }
-    let mut report = PrepareReport { particles: count, ..Default::default() };
-    let voxel = field.geometry().mean_spacing();
-    let upper = field.geometry().upper_corner();
-    let in_volume = |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
-    let valid: Vec<(DVec3, f64)> = particles
-        .positions
-        .iter()
-        .zip(&particles.sizes)
-        .map(|(p, h)| (*p, *h))
-        .filter(|(p, h)| p.is_finite() && h.is_finite() && *h > 0.0)
-        .collect();
-    report.invalid = count - valid.len();
-    let projected: Vec<Option<(DVec3, f64)>> = valid
-        .par_iter()
-        .map(|&(p, h)| {
-            let on = field.project(p, LONGEST_MOVE * voxel, ON_SURFACE * voxel)?;
-            in_volume(on).then_some((on, h))
-        })
-        .collect();
-    let (positions, sizes): (Vec<DVec3>, Vec<f64>) = projected.into_iter().flatten().unzip();
-    report.not_projected = valid.len() - positions.len();
-    if positions.len() < 4 || positions.len() * 2 < count {
+    let is_valid = |v: usize| positions[v].is_finite() && sizes[v].is_finite() && sizes[v] > 0.0;
+    let in_volume = |p: &DVec3| p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
+    let point = |v: usize| Some((is_valid(v).then(|| project(v))?.filter(in_volume)?, sizes[v]));
+    let points: Vec<Option<Placed>> = (0..count).into_par_iter().map(point).collect();
+    let invalid = (0..count).filter(|&v| !is_valid(v)).count();
+    let taken = points.iter().flatten().count();
+    if taken < 4 || taken * 2 < count {
         return Err(Error::input(
-            format!("only {} of {count} particles lie within {LONGEST_MOVE} voxel of F = 0", positions.len()),
-            "the particles do not lie on the surface of this distance field, so the files probably do not belong together",
+            format!("only {taken} of {count} particles lie within {LONGEST_MOVE} voxel of the surface"),
+            "the particles and the distance field probably do not belong together",
             "pass the distance field that the particles were made from, or run `seed` and `particles` again",
         ));
     }
-    Ok(SurfacePoints { positions, sizes, report, ..SurfacePoints::default() })
+    let report =
+        PrepareReport { particles: count, invalid, not_projected: count - invalid - taken, ..Default::default() };
+    Ok((points, report))
 }

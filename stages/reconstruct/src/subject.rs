@@ -1,7 +1,7 @@
 //! The reference of the improvement and of the checks: the field of one object, or the indicators
 //! of many materials.
 
-use crate::check::CheckReport;
+use crate::check::report::CheckReport;
 use crate::held::one_of_each_component;
 use crate::improve::InterfaceFunctions;
 use crate::interfaces::Interfaces;

@@ -3,7 +3,7 @@
 //! characteristics.
 
 use super::nodes::Nodes;
-use crate::check::{CheckReport, Fault, Simplices};
+use crate::check::report::{CheckReport, Fault, Simplices};
 use isoparticles_field::materials::Material;
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;

@@ -6,7 +6,7 @@
 use super::segments::Segments;
 use super::way::{LONGEST_WAY, length};
 use crate::interfaces::{Segment, segment};
-use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
+use crate::prepare::{LONGEST_MOVE, ON_SURFACE, Placed, PrepareReport, SurfacePoints, projected};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::complex::{SAME_JUNCTION, way_along, way_round};
@@ -16,9 +16,6 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::{Error, Result};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Maximum displacement of a particle onto its stratum, in voxels.
-const LONGEST_MOVE: f64 = 1.0;
 
 /// Indicators that differ by less than this, in voxels, count as equal if the projection onto a
 /// curve or junction point does not converge. This happens next to a kink of the indicators.
@@ -72,43 +69,22 @@ pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, 
 /// Projects particles onto their strata, selects those that can be used, and triangulates them.
 ///
 /// # Errors
-/// If the arrays differ in length, or if fewer than four or fewer than half of the particles can be
-/// projected (the files then do not belong together); and the errors of the triangulation.
+/// If there is not one stratum for each particle, and those of [`crate::prepare::prepare`] and of
+/// the triangulation.
 pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indicators) -> Result<Prepared> {
     let count = particles.positions.len();
-    if particles.sizes.len() != count || strata.of.len() != count {
+    if strata.of.len() != count {
         return Err(Error::input(
-            format!(
-                "{count} particles with {} target edge lengths and {} strata",
-                particles.sizes.len(),
-                strata.of.len()
-            ),
+            format!("{count} particles with {} strata", strata.of.len()),
             "each particle needs one",
             "run the stages `seed` and `particles` again",
         ));
     }
-    let mut report = PrepareReport { particles: count, ..PrepareReport::default() };
-    let (voxel, upper) = (indicators.voxel(), particles.geometry.upper_corner());
-    let in_volume = |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
-    let points: Vec<Option<Point>> = (0..count)
-        .into_par_iter()
-        .map(|v| {
-            let (place, size, stratum) = (particles.positions[v], particles.sizes[v], strata.of[v]);
-            let is_valid = place.is_finite() && size > 0.0 && size.is_finite() && in_volume(place);
-            let place = onto(indicators, stratum, place, LONGEST_MOVE * voxel).filter(|&p| is_valid && in_volume(p))?;
-            Some(Point { place, stratum, size })
-        })
-        .collect();
-    let taken = points.iter().flatten().count();
-    report.not_projected = count - taken;
-    if taken < 4 || taken * 2 < count {
-        return Err(Error::input(
-            format!("only {taken} of {count} particles lie within {LONGEST_MOVE} voxel of their strata"),
-            "the particles do not lie on the interfaces of these materials, so the files probably do not belong together",
-            "pass the file of materials that the particles were made from, or run `seed` and `particles` again",
-        ));
-    }
-    let mut points = points;
+    let upper = particles.geometry.upper_corner();
+    let project = |v: usize| onto(indicators, strata.of[v], particles.positions[v], LONGEST_MOVE * indicators.voxel());
+    let (points, mut report) = projected(particles, upper, project)?;
+    let on = |(own, &stratum): (Option<Placed>, _)| own.map(|(place, size)| Point { place, stratum, size });
+    let mut points: Vec<Option<Point>> = points.into_iter().zip(&strata.of).map(on).collect();
     let pairs = small_loops(&mut points, &strata.segments, (indicators, upper), &mut report);
     let (mut points, mut pairs) = without_the_lost(&points, pairs, &mut report);
     missing_loops(&mut points, &mut pairs, (indicators, upper), &mut report);

@@ -3,7 +3,7 @@
 
 use super::nodes::Nodes;
 use super::pieces::{missing, other_euler, pieces};
-use crate::check::CheckReport;
+use crate::check::report::CheckReport;
 use crate::improve::InterfaceFunctions;
 use crate::interfaces::{Interface, Interfaces};
 use crate::subject::{Comparison, Subject, Topology};
