@@ -49,7 +49,7 @@ pub trait Subject: Sync {
         Vec::new()
     }
 
-    /// Compares the topology of a mesh, whose check is given, with that of the field.
+    /// Compares the topology of a mesh with that of the field. `checked` is the check of the mesh.
     fn compare(&self, mesh: &TriangleMesh, checked: &CheckReport) -> Comparison;
 }
 

@@ -1,11 +1,11 @@
 //! Euler characteristics of the surfaces of regions, computed from the indicators alone on a
 //! lattice of half voxels.
 //!
-//! A lattice does not show whether two parts of a region that share an edge or a corner of its
-//! cubes, but no face, are connected. Both answers are computed: connected, and separate (26 and 6
-//! neighbours; Kong and Rosenfeld, Digital topology, CVGIP 48, 1989). They agree at the cubes of a
-//! plane and of any smooth surface whose sheets are several cubes apart. The cubes at which they
-//! differ are undecided.
+//! Two parts of a region may share an edge or a corner of the lattice cubes, but no face. The
+//! lattice cannot tell whether they are connected. Two results are computed: all such parts are
+//! connected (26 neighbours), or all are separate (6 neighbours; Kong and Rosenfeld, Digital
+//! topology, CVGIP 48, 1989). For smooth surfaces whose sheets are several cubes apart, the two are
+//! equal. If some parts are connected and others are not, the true value can lie beyond both.
 
 use super::Indicators;
 use glam::DVec3;
@@ -22,21 +22,22 @@ pub struct EulerRange {
     pub separate: i64,
     /// The value if they are connected.
     pub connected: i64,
-    /// Number of cubes of half a voxel at which this makes a difference.
+    /// Number of cubes of half a voxel at which the two results differ. A single contact of two
+    /// parts has one or more of them.
     pub undecided: usize,
 }
 
 impl EulerRange {
-    /// Returns the smaller and the larger value.
+    /// Returns the smaller and the larger result.
     pub fn bounds(&self) -> [i64; 2] {
         [self.separate.min(self.connected), self.separate.max(self.connected)]
     }
 }
 
 /// Computes the Euler characteristics of all regions of a grid, by region number. `regions`
-/// contains the region of each node, x fastest, and `near` whether an interface may be in a cell
-/// at the node. The regions must not reach the border of the grid; the outside is bounded by the
-/// other regions alone.
+/// contains the region of each node, x fastest; `near` is true for a node if one of its cells may
+/// contain an interface. All nodes on the border of the grid must be in the outside. The border is
+/// not part of the surface of the outside.
 pub fn euler_ranges(
     indicators: &dyn Indicators,
     geometry: &Geometry,
@@ -104,7 +105,7 @@ fn add(found: &mut Vec<EulerRange>, corners: [u16; 8], table: &[i64; 256]) {
             found.resize(usize::from(id) + 1, EulerRange::default());
         }
         let mask = (c..8).filter(|&other| corners[other] == id).fold(0usize, |mask, other| mask | 1 << other);
-        // parts of a region are connected where those of its complement are separate
+        // the complement has 6 neighbours where the region has 26
         let [separate, connected] = [table[mask], table[255 - mask]];
         let own = &mut found[usize::from(id)];
         own.separate += separate;
@@ -113,9 +114,10 @@ fn add(found: &mut Vec<EulerRange>, corners: [u16; 8], table: &[i64; 256]) {
     }
 }
 
-/// Returns eight times the share of a cube in the Euler characteristic of the union of all points,
-/// edges, faces and cubes of the lattice whose corners are all in a set. Bit c of `mask` is set if
-/// corner c is in the set. Corners belong to eight cubes, edges to four and faces to two.
+/// Returns eight times the contribution of a cube to the Euler characteristic of a set of lattice
+/// points, with all edges, faces and cubes whose corners are in it. Bit c of `mask` is set if
+/// corner c of the cube is in the set. Corners belong to eight cubes, edges to four and faces to
+/// two.
 fn eightfold_euler(mask: usize) -> i64 {
     let count = |cells: &[usize]| cells.iter().filter(|&&cell| mask & cell == cell).count() as i64;
     let corners: Vec<usize> = (0..8).map(|c| 1 << c).collect();
@@ -175,7 +177,7 @@ mod tests {
 
     #[test]
     fn touching_parts_are_undecided() {
-        // along a diagonal of the lattice, the gap between the balls is shorter than that of a cube
+        // along a diagonal of the lattice, the gap between the balls is narrower than a cube
         let balls = |p: DVec3| {
             let centre = |sign: f64| DVec3::splat(12.25) + sign * DVec3::new(3.0, 3.0, 0.0);
             (p.distance(centre(1.0)) - 4.0).min(p.distance(centre(-1.0)) - 4.0)

@@ -26,9 +26,9 @@ const REACH: f64 = 2.0;
 const ON_PLANE: f64 = 1e-6;
 
 /// An interface may be in a cell if one of its corners is at most this far from an interface, in
-/// diagonals of a cell. The nearest corner is at most half a diagonal away; the rest allows for
-/// distances that are correct to first order only. With 1, the tissues of `frog_tissue_labels` and
-/// `thorax_labels` have the same Euler characteristics.
+/// diagonals of a cell. The nearest corner is at most half a diagonal away; the margin of 0.1
+/// covers the error of distances that are correct to first order. A limit of 1 gives the same Euler
+/// characteristics for the tissues of `frog_tissue_labels` and `thorax_labels`.
 const NEAR_A_CELL: f64 = 0.6;
 
 /// The material of each grid node.

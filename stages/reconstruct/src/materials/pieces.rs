@@ -1,6 +1,5 @@
-//! Compares the topology of each material in a mesh with that of its indicator: finds the connected
-//! components, of grid nodes that share a face, that are missing, and compares Euler
-//! characteristics.
+//! Finds the components of materials (grid nodes connected by faces) that are missing from a mesh.
+//! Compares the Euler characteristics of the materials.
 
 use super::nodes::Nodes;
 use crate::check::report::{CheckReport, Fault, Simplices};
@@ -30,24 +29,25 @@ pub struct Pieces {
     pub missing: Vec<usize>,
     /// Number of missing components of at most [`SMALL`] nodes.
     pub missing_specks: usize,
-    /// Euler characteristic of the surface of the material in the mesh; `None` if it has none
-    /// there, or if it is the outside of a single interface.
+    /// Euler characteristic of the surface of the material in the mesh; `None` if the mesh has no
+    /// surface of this material, or if it is the outside of a single interface.
     pub mesh_euler: Option<i64>,
-    /// Bounds of the Euler characteristic of that surface by the indicators, on a lattice of half
-    /// voxels.
+    /// The two results for that surface from the indicators, on a lattice of half voxels
+    /// ([`isoparticles_field::materials::EulerRange`]), the smaller first.
     pub euler: [i64; 2],
-    /// Number of cubes of the lattice at which the connection of two parts is undecided.
+    /// Number of cubes of the lattice at which the two results differ.
     pub undecided: usize,
 }
 
 impl Pieces {
-    /// Returns whether the Euler characteristic in the mesh is outside the bounds.
+    /// Returns whether the Euler characteristic in the mesh lies beyond both results.
     pub fn is_other_euler(&self) -> bool {
         self.mesh_euler.is_some_and(|euler| euler < self.euler[0] || euler > self.euler[1])
     }
 }
 
-/// Compares each material of a table with its surface in a mesh, whose check is given.
+/// Compares each material of a table with its surface in a mesh. `checked` is the check of this
+/// mesh.
 pub fn pieces(nodes: &Nodes, checked: &CheckReport, table: &[Material]) -> Vec<Pieces> {
     let wrong = match checked.offenders.get(&Fault::NodesOnWrongSide) {
         Some(Simplices::Nodes(wrong)) => &wrong[..],
@@ -102,18 +102,19 @@ pub fn missing(pieces: &[Pieces]) -> Option<String> {
     (count > 0).then(|| format!("{count} missing components of materials"))
 }
 
-/// Names the materials whose Euler characteristic is outside its bounds, if there are any.
+/// Names the materials of another Euler characteristic ([`Pieces::is_other_euler`]), if there are
+/// any.
 pub fn other_euler(pieces: &[Pieces]) -> Option<String> {
     let other: Vec<&Pieces> = pieces.iter().filter(|own| own.is_other_euler()).collect();
     let told = |own: &&Pieces| {
         let [low, high] = own.euler;
-        let bounds = if low == high { low.to_string() } else { format!("{low} to {high}") };
-        format!("{} {} instead of {bounds}", own.name, own.mesh_euler.unwrap_or_default())
+        let expected = if low == high { low.to_string() } else { format!("{low} to {high}") };
+        format!("{} {} instead of {expected}", own.name, own.mesh_euler.unwrap_or_default())
     };
     let named: Vec<String> = other.iter().take(NAMED).map(told).collect();
     let more = if other.len() > NAMED { ", ..." } else { "" };
     (!other.is_empty()).then(|| format!(
-        "{} of {} materials have another Euler characteristic than their indicators, so handles, cavities or specks differ: {}{more}",
+        "the Euler characteristic of {} of {} materials differs from that of the field (other handles, cavities or specks): {}{more}",
         other.len(), pieces.iter().filter(|own| own.mesh_euler.is_some()).count(), named.join(", ")
     ))
 }
