@@ -162,16 +162,21 @@ def heart(folder: Path) -> list[Part]:
     return [left, right]
 
 
+def results_of(path: Path, name: str, components: int, count: int) -> Any:
+    """Return the components of a result of CalculiX at the nodes, as columns."""
+    found, inside = np.full((count, components), np.nan), False
+    for line in path.read_text(encoding="utf-8").splitlines():
+        inside = line.startswith(f" -4  {name}") or (inside and not line.startswith(" -3"))
+        if inside and line.startswith(" -1"):
+            found[int(line[3:13]) - 1] = [float(line[13 + 12 * k : 25 + 12 * k]) for k in range(components)]
+    return found
+
+
 def stress_of(path: Path, count: int) -> Any:
     """Return the von Mises stress at the nodes, from the results of CalculiX."""
-    found, inside = np.full(count, np.nan), False
-    for line in path.read_text(encoding="utf-8").splitlines():
-        inside = line.startswith(" -4  STRESS") or (inside and not line.startswith(" -3"))
-        if inside and line.startswith(" -1"):
-            xx, yy, zz, xy, yz, zx = (float(line[13 + 12 * k : 25 + 12 * k]) for k in range(6))
-            squares = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6.0 * (xy**2 + yz**2 + zx**2)
-            found[int(line[3:13]) - 1] = np.sqrt(0.5 * squares)
-    return found
+    xx, yy, zz, xy, yz, zx = results_of(path, "STRESS", 6, count).T
+    squares = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6.0 * (xy**2 + yz**2 + zx**2)
+    return np.sqrt(0.5 * squares)
 
 
 def femur(folder: Path) -> list[Part]:
@@ -247,6 +252,21 @@ def trabecular(folder: Path) -> list[Part]:
     return [left, right]
 
 
+def tooth(folder: Path) -> list[Part]:
+    """Draw the tissues, and the temperature after a drink, in a cut through two canals."""
+    grid = pv.read(folder / "out" / "tooth" / "tooth.volume.vtu")
+    grid.point_data["warming"] = results_of(folder / "drink.frd", "NDTEMP", 1, grid.n_points)[:, 0]
+    cut = behind(grid, (0.334, -0.943, 0.047), (1, 0, 0))
+    eye = (0.2, -1, 0.15)
+    left, right = Part(eye, width=380), Part(eye, width=380)
+    colours = {"pulp": "#c9463d", "dentine": "#e3c58f", "enamel": "#b9cfe3"}
+    add_materials(left, cut, colours)
+    left.names(colours)
+    right.add(cut, scalars="warming", cmap="turbo", clim=(0, 23), n_colors=23, ambient=0.4)
+    right.bar("warming after 5 s, K", "turbo", "0", "23")
+    return [left, right]
+
+
 def peers(folder: Path) -> list[Part]:
     """Draw the triangles of four programs near the head of the femur, coloured by radius ratio."""
     programs = {
@@ -273,7 +293,7 @@ def peers(folder: Path) -> list[Part]:
 
 
 PICTURES: dict[str, Callable[[Path], list[Part]]] = {
-    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm, trabecular, peers)
+    picture.__name__: picture for picture in (torso, heart, femur, head, aneurysm, trabecular, tooth, peers)
 }
 
 

@@ -238,8 +238,30 @@ def trabecular(small: bool) -> None:
         Image.fromarray(section.T).save(folder / f"slice{number:03}.tif")
 
 
+def tooth(small: bool) -> None:
+    """Write tooth.nrrd, a scan of a molar: pulp 150, dentine 1700, enamel 2800, else 0."""
+    shrink = 0.7 if small else 1.0
+    grid = Grid(0.15, (-6 * shrink, -5.5 * shrink, -15.8 * shrink), (6 * shrink, 5.6 * shrink, 5.7 * shrink))
+    axes = _, _, z = tuple(axis / shrink for axis in grid.axes())
+    crown = ball(axes, (0, 0, 0), (5.4, 4.9, 4.0), 2.8)
+    pulp = ball(axes, (0, 0, -0.8), (2.3, 1.9, 1.5), 2.5)
+    for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        crown = join(crown, ball(axes, (2.7 * a, 2.4 * b, 3.0), (1.9, 1.8, 2.1)), 1.0)
+    core = crown + 0.9 + 0.08 * (z + 3.0)
+    for tip in ((-3.2, -2.2, -14), (-3.0, 2.4, -13), (3.0, 0, -14.4)):
+        foot = (0.75 * tip[0], 0.75 * tip[1], -3.0)
+        crown, core = (join(shape, rod(axes, foot, tip, (2.2, 0.9)), 1.5) for shape in (crown, core))
+        pulp = join(
+            pulp, rod(axes, (0.4 * tip[0], 0.4 * tip[1], -1.4), (0.93 * tip[0], 0.93 * tip[1], -12.6), (0.6, 0.3)), 0.8
+        )
+    scan = np.where(crown < 0, np.where((core < 0) | (z < -3.2), 1700.0, 2800.0), 0.0)
+    scan = np.where(pulp < 0, 150.0, scan)
+    noise = np.random.default_rng(1).normal(0.0, 25.0, scan.shape)
+    grid.write(Path("tooth.nrrd"), (blurred(scan, 2) + noise).round().astype(np.int16))
+
+
 RECIPES: dict[str, Callable[[bool], None]] = {
-    recipe.__name__: recipe for recipe in (torso, heart, femur, head, aneurysm, trabecular)
+    recipe.__name__: recipe for recipe in (torso, heart, femur, head, aneurysm, trabecular, tooth)
 }
 
 
