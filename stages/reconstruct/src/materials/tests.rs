@@ -454,6 +454,14 @@ fn prepared_of(all: &[(Vec<u16>, DVec3)], segments: Vec<[u32; 2]>, indicators: &
     prepare(&particles, &Strata { of, segments }, indicators).expect("on their strata")
 }
 
+/// Removes the triangles whose materials do not satisfy a condition.
+fn retain(interfaces: &mut Interfaces, is_kept: impl Fn([MaterialId; 2]) -> bool) {
+    let Interfaces { mesh, between, .. } = interfaces;
+    let mut own = between.iter();
+    mesh.triangles.retain(|_| own.next().is_some_and(|&between| is_kept(between)));
+    between.retain(|&between| is_kept(between));
+}
+
 #[test]
 fn each_kind_of_damage_fails_its_check() {
     let scene = scenes::sectors();
@@ -518,9 +526,7 @@ fn each_kind_of_damage_fails_its_check() {
             for between in &mut i.between {
                 *between = between.map(|id| if id.0 > 1 { whole } else { id });
             }
-            let kept: Vec<usize> = (0..i.between.len()).filter(|&t| i.between[t][0] != i.between[t][1]).collect();
-            i.mesh.triangles = kept.iter().map(|&t| i.mesh.triangles[t]).collect();
-            i.between = kept.iter().map(|&t| i.between[t]).collect();
+            retain(i, |[inside, outside]| inside != outside);
         }),
     ];
     for (what, damage) in damages {
@@ -543,10 +549,7 @@ fn a_lost_cavity_changes_the_euler_characteristic() {
     assert_eq!(doubts(&made.interfaces), "");
     let (core, shell) = (MaterialId(2), MaterialId(1));
     let mut solid = made.interfaces.clone();
-    let kept = |t: &usize| !made.interfaces.between[*t].contains(&core);
-    let kept: Vec<usize> = (0..solid.between.len()).filter(kept).collect();
-    solid.mesh.triangles = kept.iter().map(|&t| solid.mesh.triangles[t]).collect();
-    solid.between = kept.iter().map(|&t| solid.between[t]).collect();
+    retain(&mut solid, |between| !between.contains(&core));
     let found = doubts(&solid);
     assert!(found.contains(&format!("{} 2 instead of 4", table[shell.index()].name)), "{found}");
 }
