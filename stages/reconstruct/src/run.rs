@@ -347,7 +347,7 @@ fn tell(made: &Reconstruction, context: &Context) {
             let missing: usize = pieces.iter().map(|own| own.missing.len()).sum();
             let specks: usize = pieces.iter().map(|own| own.missing_specks).sum();
             context.summary("components missing, specks missing", format!("{missing}, {specks}"));
-            let other = pieces.iter().filter(|own| own.is_other_euler()).count();
+            let other = pieces.iter().filter(|own| own.euler_differs()).count();
             context.summary("materials of another Euler characteristic", other);
         }
     }

@@ -37,7 +37,7 @@ const FARTHEST: f64 = 1.0;
 pub enum Reference {
     /// F and its topology.
     Object(Box<(CubicSpline, FieldTopology)>),
-    /// The material of each grid node.
+    /// The material of each grid node, and the Euler characteristics of the regions.
     Materials(Box<Nodes>),
 }
 

@@ -7,110 +7,107 @@
 //! topology, CVGIP 48, 1989). For smooth surfaces whose sheets are several cubes apart, the two are
 //! equal. If some parts are connected and others are not, the true value can lie beyond both.
 
-use super::Indicators;
+use super::{Indicators, MaterialId};
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Marks a point of the lattice whose region has not been computed.
 const UNKNOWN: u16 = u16::MAX;
 
-/// Euler characteristic of the surface of a region.
+/// The two results for the Euler characteristic of the surface of a region.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct EulerRange {
-    /// The value if parts that share only an edge or a corner of a cube are separate.
+pub struct EulerPair {
+    /// The result if parts that share only an edge or a corner of a cube are separate.
     pub separate: i64,
-    /// The value if they are connected.
+    /// The result if they are connected.
     pub connected: i64,
     /// Number of cubes of half a voxel at which the two results differ. A single contact of two
     /// parts has one or more of them.
     pub undecided: usize,
 }
 
-impl EulerRange {
+impl EulerPair {
     /// Returns the smaller and the larger result.
-    pub fn bounds(&self) -> [i64; 2] {
+    pub fn ascending(&self) -> [i64; 2] {
         [self.separate.min(self.connected), self.separate.max(self.connected)]
+    }
+
+    fn add(&mut self, other: Self) {
+        self.separate += other.separate;
+        self.connected += other.connected;
+        self.undecided += other.undecided;
     }
 }
 
-/// Computes the Euler characteristics of all regions of a grid, by region number. `regions`
-/// contains the region of each node, x fastest; `near` is true for a node if one of its cells may
-/// contain an interface. All nodes on the border of the grid must be in the outside. The border is
-/// not part of the surface of the outside.
-pub fn euler_ranges(
+/// Computes the Euler characteristics of all regions of a grid. `regions` contains the region of
+/// each node, x fastest; `is_near` returns for a node whether one of its cells may contain an
+/// interface. All nodes on the border of the grid must be in the outside. The border is not part of
+/// the surface of the outside.
+pub fn euler_pairs(
     indicators: &dyn Indicators,
     geometry: &Geometry,
     regions: &[u16],
-    near: &[bool],
-) -> Vec<EulerRange> {
-    let size = geometry.size;
-    let [nx, ny, nz] = size;
+    is_near: &(dyn Fn(usize) -> bool + Sync),
+) -> BTreeMap<MaterialId, EulerPair> {
+    let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
     let table: [i64; 256] = std::array::from_fn(eightfold_euler);
-    let count = regions.iter().max().map_or(0, |&most| usize::from(most) + 1);
-    let [width, height] = [nx, ny].map(|n| 2 * n - 1);
-    let cubes = |z: usize| {
+    let [width, height] = [nx, ny].map(|n| 2 * n + 1);
+    let corner = |[x, y, z]: [usize; 3], c: usize| [x + (c & 1), y + (c >> 1 & 1), z + (c >> 2)];
+    // sums eight times the contributions of the cubes in a slab of cells
+    let slab = |z: usize| {
+        let cells = (0..ny).flat_map(|y| (0..nx).map(move |x| [x, y, z]));
+        let mut near =
+            cells.filter(|&cell| (0..8).map(|c| corner(cell, c)).any(|[x, y, z]| is_near(geometry.linear(x, y, z))));
+        let mut found: BTreeMap<MaterialId, EulerPair> = BTreeMap::new();
+        let Some(first) = near.next() else { return found };
         let mut known = vec![UNKNOWN; 3 * width * height];
-        let mut region = |x: usize, y: usize, dz: usize| {
-            let own = &mut known[(dz * height + y) * width + x];
-            if *own == UNKNOWN {
-                *own = if (x | y | dz) & 1 == 0 {
+        // a point of the lattice, in half voxels from the first node of the slab
+        let mut region = |[x, y, dz]: [usize; 3]| {
+            let cached = &mut known[(dz * height + y) * width + x];
+            if *cached == UNKNOWN {
+                *cached = if (x | y | dz) & 1 == 0 {
                     regions[geometry.linear(x / 2, y / 2, z + dz / 2)]
                 } else {
                     let index = DVec3::new(x as f64, y as f64, (2 * z + dz) as f64) / 2.0;
                     indicators.region(indicators.material_at(geometry.index_to_grid(index))).0
                 };
             }
-            *own
+            *cached
         };
-        // eight times the characteristics of the regions
-        let mut found = vec![EulerRange::default(); count];
-        for (y, x) in (0..ny - 1).flat_map(|y| (0..nx - 1).map(move |x| (y, x))) {
-            if !(0..8).any(|c| near[geometry.linear(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2))]) {
-                continue;
-            }
+        for [x, y, _] in std::iter::once(first).chain(near) {
             for cube in 0..8 {
-                let [x, y, dz] = [2 * x + (cube & 1), 2 * y + (cube >> 1 & 1), cube >> 2];
-                let corners: [u16; 8] = std::array::from_fn(|c| region(x + (c & 1), y + (c >> 1 & 1), dz + (c >> 2)));
+                let lowest = corner([2 * x, 2 * y, 0], cube);
+                let corners: [u16; 8] = std::array::from_fn(|c| region(corner(lowest, c)));
                 if corners.iter().any(|&id| id != corners[0]) {
-                    add(&mut found, corners, &table);
+                    add_cube(&mut found, corners, &table);
                 }
             }
         }
         found
     };
-    let sum = |mut all: Vec<EulerRange>, found: Vec<EulerRange>| {
-        all.resize(all.len().max(found.len()), EulerRange::default());
-        for (all, found) in all.iter_mut().zip(found) {
-            all.separate += found.separate;
-            all.connected += found.connected;
-            all.undecided += found.undecided;
-        }
+    let sum = |mut all: BTreeMap<MaterialId, EulerPair>, found: BTreeMap<MaterialId, EulerPair>| {
+        found.into_iter().for_each(|(id, own)| all.entry(id).or_default().add(own));
         all
     };
-    let mut all =
-        (0..nz.saturating_sub(1)).into_par_iter().map(cubes).reduce(|| vec![EulerRange::default(); count], sum);
-    for own in &mut all {
+    let mut pairs = (0..nz).into_par_iter().map(slab).reduce(BTreeMap::new, sum);
+    for own in pairs.values_mut() {
         // the surface of a solid has twice its Euler characteristic
-        [own.separate, own.connected] = [own.separate, own.connected].map(|eightfold| eightfold / 4);
+        own.separate /= 4;
+        own.connected /= 4;
     }
-    all
+    pairs
 }
 
-/// Adds a cube with the given regions at its corners.
-fn add(found: &mut Vec<EulerRange>, corners: [u16; 8], table: &[i64; 256]) {
+/// Adds eight times the contribution of a cube with the given regions at its corners.
+fn add_cube(found: &mut BTreeMap<MaterialId, EulerPair>, corners: [u16; 8], table: &[i64; 256]) {
     for (c, id) in corners.into_iter().enumerate().filter(|(c, id)| !corners[..*c].contains(id)) {
-        if usize::from(id) >= found.len() {
-            // a region that contains no node
-            found.resize(usize::from(id) + 1, EulerRange::default());
-        }
         let mask = (c..8).filter(|&other| corners[other] == id).fold(0usize, |mask, other| mask | 1 << other);
         // the complement has 6 neighbours where the region has 26
         let [separate, connected] = [table[mask], table[255 - mask]];
-        let own = &mut found[usize::from(id)];
-        own.separate += separate;
-        own.connected += connected;
-        own.undecided += usize::from(separate != connected);
+        let own = EulerPair { separate, connected, undecided: usize::from(separate != connected) };
+        found.entry(MaterialId(id)).or_default().add(own);
     }
 }
 
@@ -136,7 +133,7 @@ mod tests {
 
     /// Returns the characteristics of the outside and of objects that are given by their signed
     /// distances, in a cube of 24 mm with voxels of 1 mm. All cells are searched.
-    fn of(objects: &[fn(DVec3) -> f64]) -> Vec<EulerRange> {
+    fn of(objects: &[fn(DVec3) -> f64]) -> Vec<EulerPair> {
         let geometry = Geometry::axis_aligned([25; 3], DVec3::ONE);
         let jet = |value: f64| Jet { value, ..far(false) };
         let all = objects.to_vec();
@@ -147,15 +144,15 @@ mod tests {
         }
         let indicators = Analytic::new(functions, 1.0);
         let nodes = (0..25usize.pow(3)).map(|node| indicators.material_at(geometry.node_to_grid(node)).0);
-        euler_ranges(&indicators, &geometry, &nodes.collect::<Vec<_>>(), &vec![true; 25usize.pow(3)])
+        euler_pairs(&indicators, &geometry, &nodes.collect::<Vec<_>>(), &|_| true).into_values().collect()
     }
 
     fn ball(p: DVec3, x: f64, radius: f64) -> f64 {
         p.distance(DVec3::new(x, 11.7, 12.2)) - radius
     }
 
-    fn certain(euler: i64) -> EulerRange {
-        EulerRange { separate: euler, connected: euler, undecided: 0 }
+    fn certain(euler: i64) -> EulerPair {
+        EulerPair { separate: euler, connected: euler, undecided: 0 }
     }
 
     #[test]
@@ -185,6 +182,10 @@ mod tests {
         let [outside, object] = of(&[balls])[..] else { panic!("two regions") };
         assert_eq!(object.separate, 4, "two balls");
         assert!(object.connected < 4 && object.undecided > 0, "{object:?}");
-        assert_eq!((outside.connected, outside.bounds()), (4, object.bounds()), "gaps of the object join the outside");
+        assert_eq!(
+            (outside.connected, outside.ascending()),
+            (4, object.ascending()),
+            "gaps of the object join the outside"
+        );
     }
 }

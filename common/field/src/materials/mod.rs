@@ -27,7 +27,7 @@ mod tests;
 pub use analytic::{Analytic, ball, half_space, maximum, minimum, negative};
 pub use bounded::{Bound, Bounded};
 pub use error::Error;
-pub use euler::{EulerRange, euler_ranges};
+pub use euler::{EulerPair, euler_pairs};
 pub use index::{Materials, ON_INTERFACE};
 pub use indicator::{BLOCK, CELLS, Indicator, IndicatorParts, KNOWN_VOXELS, bricks_along};
 pub use object::Object;

@@ -12,10 +12,11 @@ use crate::refine::nodes::AT_A_VERTEX;
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
 use isoparticles_delaunay::predicates::orientation;
-use isoparticles_field::materials::{EulerRange, Indicators, MaterialId, Stratum, euler_ranges};
+use isoparticles_field::materials::{EulerPair, Indicators, MaterialId, Stratum, euler_pairs};
 use isoparticles_mesh::inside::crossings;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Maximum distance from a node to the interface that is searched for, in voxels.
 const REACH: f64 = 2.0;
@@ -39,7 +40,7 @@ pub struct Nodes {
     /// Nodes within [`ON_PLANE`] of an interface, ascending.
     on_plane: Vec<usize>,
     /// Euler characteristics of the regions.
-    pub(super) euler: Vec<EulerRange>,
+    pub(super) euler: BTreeMap<MaterialId, EulerPair>,
 }
 
 /// A triangle between two materials, with corners in the grid frame.
@@ -50,20 +51,18 @@ impl Nodes {
     /// from the indicators.
     pub fn new(geometry: &Geometry, indicators: &dyn Indicators) -> Self {
         let [nx, ny, nz] = geometry.size;
+        let limits = [ON_PLANE * indicators.voxel(), NEAR_A_CELL * geometry.spacing.length()];
         let row = |row: usize| {
             let (j, k) = (row % ny, row / ny);
             (0..nx).map(move |i| {
                 let near = indicators.near(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)));
                 let own = indicators.region(near.first().unwrap_or(MaterialId::OUTSIDE));
-                (own.0, near.interface_distance() as f32)
+                (own.0, limits.map(|limit| near.interface_distance() < limit))
             })
         };
-        let (material, distances): (Vec<u16>, Vec<f32>) = (0..ny * nz).into_par_iter().flat_map_iter(row).unzip();
-        let within = |limit: f64| move |distance: &f32| f64::from(*distance) < limit;
-        let is_on_plane = within(ON_PLANE * indicators.voxel());
-        let on_plane = (0..distances.len()).filter(|&node| is_on_plane(&distances[node])).collect();
-        let near: Vec<bool> = distances.par_iter().map(within(NEAR_A_CELL * geometry.spacing.length())).collect();
-        let euler = euler_ranges(indicators, geometry, &material, &near);
+        let (material, within): (Vec<u16>, Vec<[bool; 2]>) = (0..ny * nz).into_par_iter().flat_map_iter(row).unzip();
+        let on_plane = (0..within.len()).filter(|&node| within[node][0]).collect();
+        let euler = euler_pairs(indicators, geometry, &material, &|node| within[node][1]);
         Self { geometry: geometry.clone(), material, on_plane, euler }
     }
 

@@ -3,7 +3,7 @@
 
 use super::nodes::Nodes;
 use crate::check::report::{CheckReport, Fault, Simplices};
-use isoparticles_field::materials::Material;
+use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -33,7 +33,7 @@ pub struct Pieces {
     /// surface of this material, or if it is the outside of a single interface.
     pub mesh_euler: Option<i64>,
     /// The two results for that surface from the indicators, on a lattice of half voxels
-    /// ([`isoparticles_field::materials::EulerRange`]), the smaller first.
+    /// ([`isoparticles_field::materials::EulerPair`]), the smaller first.
     pub euler: [i64; 2],
     /// Number of cubes of the lattice at which the two results differ.
     pub undecided: usize,
@@ -41,7 +41,7 @@ pub struct Pieces {
 
 impl Pieces {
     /// Returns whether the Euler characteristic in the mesh lies beyond both results.
-    pub fn is_other_euler(&self) -> bool {
+    pub fn euler_differs(&self) -> bool {
         self.mesh_euler.is_some_and(|euler| euler < self.euler[0] || euler > self.euler[1])
     }
 }
@@ -77,9 +77,9 @@ pub fn pieces(nodes: &Nodes, checked: &CheckReport, table: &[Material]) -> Vec<P
         own.1 |= wrong.next_if_eq(&&n).is_none();
     }
     let of_indicators = |(id, material): (usize, &Material)| {
-        let range = nodes.euler.get(id).copied().unwrap_or_default();
+        let pair = nodes.euler.get(&MaterialId(id as u16)).copied().unwrap_or_default();
         let mesh_euler = checked.regions.iter().find(|own| own.name == material.name).map(|own| own.euler);
-        let (euler, undecided) = (range.bounds(), range.undecided);
+        let (euler, undecided) = (pair.ascending(), pair.undecided);
         Pieces { name: material.name.clone(), mesh_euler, euler, undecided, ..Pieces::default() }
     };
     let mut pieces: Vec<Pieces> = table.iter().enumerate().map(of_indicators).collect();
@@ -102,10 +102,10 @@ pub fn missing(pieces: &[Pieces]) -> Option<String> {
     (count > 0).then(|| format!("{count} missing components of materials"))
 }
 
-/// Names the materials of another Euler characteristic ([`Pieces::is_other_euler`]), if there are
+/// Names the materials of another Euler characteristic ([`Pieces::euler_differs`]), if there are
 /// any.
-pub fn other_euler(pieces: &[Pieces]) -> Option<String> {
-    let other: Vec<&Pieces> = pieces.iter().filter(|own| own.is_other_euler()).collect();
+pub fn describe_euler(pieces: &[Pieces]) -> Option<String> {
+    let other: Vec<&Pieces> = pieces.iter().filter(|own| own.euler_differs()).collect();
     let told = |own: &&Pieces| {
         let [low, high] = own.euler;
         let expected = if low == high { low.to_string() } else { format!("{low} to {high}") };

@@ -2,7 +2,7 @@
 //! interface between materials i and j is G_ij, half the difference of their indicators.
 
 use super::nodes::Nodes;
-use super::pieces::{missing, other_euler, pieces};
+use super::pieces::{describe_euler, missing, pieces};
 use crate::check::report::CheckReport;
 use crate::improve::InterfaceFunctions;
 use crate::interfaces::{Interface, Interfaces};
@@ -47,8 +47,8 @@ impl Subject for Materials<'_> {
     fn compare(&self, _mesh: &TriangleMesh, checked: &CheckReport) -> Comparison {
         let real = self.indicators.first_beyond().map_or(self.table.len(), MaterialId::index);
         let pieces = pieces(self.nodes, checked, &self.table[..real]);
-        let (failed, doubtful) = (missing(&pieces), other_euler(&pieces));
-        let [failed, doubtful] = [failed, doubtful].map(|found| found.into_iter().collect());
+        let failed = missing(&pieces).into_iter().collect();
+        let doubtful = describe_euler(&pieces).into_iter().collect();
         Comparison { topology: Topology::Materials(pieces), failed, doubtful }
     }
 }
